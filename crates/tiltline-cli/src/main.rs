@@ -1,0 +1,2 @@
+//! The command `tiltline`.
+fn main() {}

@@ -1,0 +1,1 @@
+//! Readers of micrographs and tilt series: one file a format.

@@ -1,0 +1,10 @@
+//! Foils with known curves, and plain images of them: dark lines and a speckled background that moves with the foil.
+//!
+//! Lengths are in px of an unrotated image at scale 1; the origin is the centre of the foil.
+
+pub mod draw;
+pub mod scene;
+pub mod view;
+
+pub use scene::{Scene, SceneSettings, Speck};
+pub use view::{ViewSettings, render};

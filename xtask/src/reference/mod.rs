@@ -1,0 +1,26 @@
+//! Comparisons with independent implementations: `cargo xtask reference [TOPIC...]`, one file a topic.
+
+use miette::{Result, miette};
+
+use crate::venv::Venv;
+
+/// A topic's name and what it runs.
+type Topic = (&'static str, fn(&Venv) -> Result<()>);
+
+const TOPICS: &[Topic] = &[];
+
+/// Runs the named topics, or all.
+pub fn run(names: &[String]) -> Result<()> {
+    if let Some(unknown) = names.iter().find(|name| TOPICS.iter().all(|(topic, _)| topic != name)) {
+        let known: Vec<&str> = TOPICS.iter().map(|(topic, _)| *topic).collect();
+        return Err(miette!("no topic {unknown}; there are: {}", known.join(", ")));
+    }
+    let venv = Venv::ready()?;
+    for (topic, run) in TOPICS {
+        if names.is_empty() || names.iter().any(|name| name == topic) {
+            println!("== {topic}");
+            run(&venv)?;
+        }
+    }
+    Ok(())
+}
