@@ -1,0 +1,125 @@
+//! The command line as typed flags; each command validates its own.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
+
+use crate::quantity::PixelSize;
+
+/// 3D reconstruction of dislocations from two electron micrographs a few degrees apart.
+#[derive(Debug, Parser)]
+#[command(name = "tiltline", version, max_term_width = 110, after_help = EXIT_CODES)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done (perhaps with warnings), 1 failed, 2 wrong usage, 130 interrupted.";
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Reconstruct the 3D curves of a stereo pair.
+    Reconstruct(Box<Reconstruct>),
+    /// Say what is in a micrograph or series: size, type, pixel size, tilts, range, warnings.
+    Info(Info),
+    /// Print a completion script for a shell.
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+}
+
+/// Flags of `tiltline reconstruct`.
+#[derive(Debug, Args)]
+pub struct Reconstruct {
+    /// First image (PNG, TIFF, MRC); FILE#k takes page or section k of a stack, counted from 0.
+    pub left: String,
+    /// Second image, at another tilt.
+    pub right: String,
+    /// Folder for the results.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: PathBuf,
+    /// Tilts of left and right in degrees: LIST (-4,4), START:END:STEP, or a FILE (.tlt, .rawtlt, .mdoc).
+    #[arg(long, value_name = "LIST|START:END:STEP|FILE", allow_hyphen_values = true)]
+    pub tilts: Option<String>,
+    /// Side of a pixel of the left image, with its unit: 1.2nm, 3.4A, 0.001um. Overrides the files'.
+    #[arg(long, value_name = "SIZE")]
+    pub pixel_size: Option<PixelSize>,
+    /// Direction of the tilt axis, degrees clockwise on the screen from image y (0 vertical, 90 horizontal).
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
+    pub tilt_axis: Option<f64>,
+    /// Whether lines are darker or brighter than what surrounds them.
+    #[arg(long, value_name = "CONTRAST")]
+    pub lines: Option<Lines>,
+    /// Largest disparity to look for, in px of the left image; without it, from the spread of the point matches.
+    #[arg(long, value_name = "PX")]
+    pub max_disparity: Option<f64>,
+    /// How disparities are refined.
+    #[arg(long, value_name = "METHOD")]
+    pub refine: Option<Refine>,
+    /// Report the other sign of depth: no number of projections can tell which is right.
+    #[arg(long)]
+    pub flip_depth: bool,
+    /// Seed of everything random.
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Settings file; the run.toml of an earlier run repeats it. Flags override it.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Write into a folder that has other content.
+    #[arg(long)]
+    pub force: bool,
+    /// Print the summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// How much to say while working.
+    #[command(flatten)]
+    pub verbosity: Verbosity,
+}
+
+/// Flags of `tiltline info`.
+#[derive(Debug, Args)]
+pub struct Info {
+    /// Micrographs or series.
+    #[arg(required = true)]
+    pub files: Vec<String>,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// How much to say while working; results and errors are always said.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub struct Verbosity {
+    /// No progress.
+    #[arg(short, long, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Each stage with its time.
+    #[arg(short, long)]
+    pub verbose: bool,
+}
+
+/// Contrast of the lines.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Lines {
+    /// Darker than the background (bright field).
+    Dark,
+    /// Brighter (dark field, weak beam).
+    Bright,
+    /// Whichever is stronger.
+    Auto,
+}
+
+/// Refinement method.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Refine {
+    /// Not at all.
+    None,
+    /// The paper's: to the nearest detected pixel within 3 px.
+    Nearest,
+    /// Along the whole curve.
+    Curve,
+}
