@@ -1,18 +1,27 @@
-//! The project's own chores: `cargo xtask ci|test|reference`.
+//! The project's own chores: `cargo xtask ci|test|reference|example`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod chores;
+mod example;
 mod npy;
 mod reference;
 mod venv;
 
 use miette::{Result, miette};
 
-const USAGE: &str = "usage: cargo xtask reference [TOPIC...]";
+const USAGE: &str = "usage: cargo xtask COMMAND
+  ci                    formatting, clippy, docs, tests, and cargo-deny where it is installed
+  test                  the tests
+  reference [TOPIC...]  comparisons with independent implementations (needs Python)
+  example               renders the example pair in examples/ again";
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.first().map(String::as_str) {
+        Some("ci") => chores::ci(),
+        Some("test") => chores::test(),
         Some("reference") => reference::run(&arguments[1..]),
+        Some("example") => example::render_pair(),
         _ => Err(miette!("{USAGE}")),
     }
 }

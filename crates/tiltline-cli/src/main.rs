@@ -1,2 +1,39 @@
-//! The command `tiltline`.
-fn main() {}
+//! The command `tiltline`: flags in, results and messages out. All science is in the library.
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod args;
+mod config;
+mod info;
+mod interrupt;
+mod progress;
+mod quantity;
+mod reconstruct;
+mod summary;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser};
+use miette::Result;
+
+use crate::args::{Cli, Command};
+
+fn main() -> ExitCode {
+    match run(Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error:?}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: Cli) -> Result<()> {
+    match cli.command {
+        Command::Reconstruct(flags) => reconstruct::run(&flags),
+        Command::Info(flags) => info::run(&flags),
+        Command::Completions { shell } => {
+            clap_complete::generate(shell, &mut Cli::command(), "tiltline", &mut std::io::stdout());
+            Ok(())
+        }
+    }
+}

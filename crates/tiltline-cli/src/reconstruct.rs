@@ -1,0 +1,149 @@
+//! `tiltline reconstruct`: resolves flags, file and metadata, runs the pipeline, writes the folder, prints the summary.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::time::Instant;
+
+use miette::{IntoDiagnostic, Result, WrapErr, miette};
+use tiltline::export;
+use tiltline::geometry::TiltPair;
+use tiltline::io::read_micrograph;
+use tiltline::io::tilts::parse_tilts;
+use tiltline::matching::ClassicalMatcher;
+use tiltline::micrograph::{Micrograph, StereoPair};
+use tiltline::pipeline;
+use tiltline::progress::{Event, Stage};
+use tiltline::refine::Refinement;
+use tiltline::ridge::{LinePolarity, RidgeDetector};
+use tiltline::warning::Warning;
+
+use crate::args::{Lines, Reconstruct, Refine};
+use crate::config::{Config, RunRecord, run_toml};
+use crate::interrupt;
+use crate::progress::Display;
+use crate::summary::Summary;
+
+/// Runs the command.
+pub fn run(flags: &Reconstruct) -> Result<()> {
+    let mut config = resolve(flags)?;
+    export::check_target(&flags.output, flags.force).into_diagnostic()?;
+    let display = Display::new(flags.verbosity);
+    let seconds = Mutex::new(BTreeMap::new());
+    let progress = |event: Event| {
+        display.show(&event);
+        if let Event::Finished(stage, time) = event {
+            seconds.lock().expect("no thread panics while it holds the lock").insert(stage.word(), time);
+        }
+    };
+    let (pair, mut warnings) = timed(&progress, Stage::Read, || read_pair(flags, &mut config))?;
+    let sources = [pair.left.source.clone(), pair.right.source.clone()];
+    let settings = &config.settings;
+    let detector = RidgeDetector { settings: settings.ridge.clone() };
+    let matcher = ClassicalMatcher { settings: settings.matching.clone() };
+    let mut result = pipeline::reconstruct(pair, &detector, &matcher, settings, &progress).into_diagnostic()?;
+    warnings.append(&mut result.warnings);
+    result.warnings = warnings;
+    let [left, right] = sources;
+    let record = RunRecord {
+        version: env!("CARGO_PKG_VERSION"),
+        detector: "ridge",
+        matcher: "classical",
+        left,
+        right,
+        seconds: seconds.lock().expect("no thread panics while it holds the lock").clone(),
+    };
+    let extra = [("run.toml", run_toml(&config, &record)?.into_bytes())];
+    timed(&progress, Stage::Export, || interrupt::write_all(&result, &extra, &flags.output, flags.force))?;
+    display.clear();
+    let summary = Summary::of(&result);
+    if flags.json {
+        println!("{}", serde_json::to_string_pretty(&summary).into_diagnostic()?);
+    } else {
+        print!("{summary}");
+        println!("written to {}", flags.output.display());
+    }
+    Ok(())
+}
+
+/// Defaults, overridden by the settings file, overridden by flags.
+fn resolve(flags: &Reconstruct) -> Result<Config> {
+    let mut config = match &flags.config {
+        Some(path) => Config::read(path)?,
+        None => Config::default(),
+    };
+    let settings = &mut config.settings;
+    if let Some(lines) = flags.lines {
+        settings.ridge.lines = match lines {
+            Lines::Dark => LinePolarity::Dark,
+            Lines::Bright => LinePolarity::Bright,
+            Lines::Auto => LinePolarity::Auto,
+        };
+    }
+    if let Some(refine) = flags.refine {
+        settings.refine.method = match refine {
+            Refine::None => Refinement::None,
+            Refine::Nearest => Refinement::Nearest,
+            Refine::Curve => Refinement::Curve,
+        };
+    }
+    if let Some(max_disparity_px) = flags.max_disparity {
+        if !(max_disparity_px.is_finite() && max_disparity_px > 0.0) {
+            return Err(miette!("--max-disparity {max_disparity_px} is not a positive number of px"));
+        }
+        settings.matching.max_disparity_px = max_disparity_px;
+    }
+    settings.seed = flags.seed.unwrap_or(settings.seed);
+    settings.flip_depth |= flags.flip_depth;
+    let acquisition = &mut config.acquisition;
+    if let Some(text) = &flags.tilts {
+        let tilts = parse_tilts(text).into_diagnostic()?;
+        let count = tilts.len();
+        let pair = <[f64; 2]>::try_from(tilts)
+            .map_err(|_| miette!("--tilts {text} gives {count} tilts; a pair has two, for example --tilts -4,4"))?;
+        acquisition.tilts_deg = Some(pair);
+    }
+    if let Some(size) = flags.pixel_size {
+        acquisition.pixel_size_nm = Some(size.nm);
+    }
+    if let Some(axis_deg) = flags.tilt_axis.or(acquisition.tilt_axis_deg) {
+        if !axis_deg.is_finite() {
+            return Err(miette!("--tilt-axis {axis_deg} is not an angle"));
+        }
+        acquisition.tilt_axis_deg = Some(axis_deg);
+    }
+    Ok(config)
+}
+
+/// Both images with their tilts and pixel size; what the files said goes into the record.
+fn read_pair(flags: &Reconstruct, config: &mut Config) -> Result<(StereoPair, Vec<Warning>)> {
+    let read = |spec: &str| read_micrograph(spec).into_diagnostic().wrap_err_with(|| format!("cannot read {spec}"));
+    let (mut left, mut right) = (read(&flags.left)?, read(&flags.right)?);
+    let acquisition = &mut config.acquisition;
+    let tilts_deg = match acquisition.tilts_deg {
+        Some(tilts) => tilts,
+        None => [tilt_of(&left)?, tilt_of(&right)?],
+    };
+    acquisition.tilts_deg = Some(tilts_deg);
+    if let Some(size) = acquisition.pixel_size_nm {
+        left.pixel_size_nm = Some(size);
+        right.pixel_size_nm = Some(size);
+    }
+    acquisition.pixel_size_nm = left.pixel_size_nm;
+    let tilts = TiltPair::from_degrees(tilts_deg[0], tilts_deg[1]);
+    let axis_deg = *acquisition.tilt_axis_deg.get_or_insert(0.0);
+    StereoPair::new(left, right, tilts, axis_deg.to_radians()).into_diagnostic()
+}
+
+fn tilt_of(image: &Micrograph) -> Result<f64> {
+    image.tilt_rad.map(f64::to_degrees).ok_or_else(|| {
+        miette!("the tilt of {} is not in its file; give both, for example --tilts -4,4", image.source.path)
+    })
+}
+
+fn timed<T>(progress: &dyn Fn(Event), stage: Stage, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    progress(Event::Started(stage));
+    let start = Instant::now();
+    let result = work()?;
+    progress(Event::Finished(stage, start.elapsed().as_secs_f64()));
+    Ok(result)
+}

@@ -1,0 +1,36 @@
+//! What CI runs.
+
+use std::process::Command;
+
+use miette::{IntoDiagnostic, Result, miette};
+
+use crate::venv::root;
+
+/// Everything CI checks, quickest first.
+pub fn ci() -> Result<()> {
+    cargo(&["fmt", "--all", "--check"], &[])?;
+    cargo(&["clippy", "--release", "--workspace", "--all-targets", "--", "--deny", "warnings"], &[])?;
+    cargo(&["doc", "--release", "--workspace", "--no-deps"], &[("RUSTDOCFLAGS", "--deny warnings")])?;
+    if Command::new("cargo-deny").arg("--version").output().is_ok() {
+        cargo(&["deny", "--offline", "check", "licenses", "bans", "sources"], &[])?;
+    } else {
+        println!("cargo-deny is not installed: licences and bans of dependencies were not checked");
+    }
+    test()
+}
+
+/// The README's test command.
+pub fn test() -> Result<()> {
+    cargo(&["test", "--release", "--workspace"], &[])
+}
+
+fn cargo(arguments: &[&str], environment: &[(&str, &str)]) -> Result<()> {
+    println!("$ cargo {}", arguments.join(" "));
+    let status = Command::new(env!("CARGO"))
+        .args(arguments)
+        .envs(environment.iter().copied())
+        .current_dir(root())
+        .status()
+        .into_diagnostic()?;
+    if status.success() { Ok(()) } else { Err(miette!("cargo {} failed", arguments.join(" "))) }
+}
