@@ -9,7 +9,7 @@ use tiltline::geometry::{Point3, TiltPair};
 use tiltline::oracle::Oracle;
 use tiltline::pipeline::reconstruct_rectified;
 use tiltline::reconstruction::{LengthUnit, Reconstruction};
-use tiltline::rectify::{RectifiedPair, Rectification};
+use tiltline::rectify::{Rectification, RectifiedPair};
 use tiltline::settings::Settings;
 use tiltline::simulate::{SceneSettings, ViewSettings};
 
@@ -29,8 +29,7 @@ fn run(tilts_deg: [f64; 2], axis_deg: f64, pixel_size_nm: Option<f64>) -> (commo
     let blank = Array2::<f32>::zeros(rectification.shape);
     let rectified = RectifiedPair { left: blank.clone(), right: blank, rectification };
     let pair = truth.pair.clone();
-    let result =
-        reconstruct_rectified(pair, rectified, Vec::new(), &oracle, &oracle, &Settings::default(), &|_| ());
+    let result = reconstruct_rectified(pair, rectified, Vec::new(), &oracle, &oracle, &Settings::default(), &|_| ());
     (truth, result)
 }
 

@@ -3,8 +3,10 @@
 //! Lengths are in px of an unrotated image at scale 1; the origin is the centre of the foil.
 
 pub mod draw;
+pub mod foil;
 pub mod scene;
 pub mod view;
 
+pub use foil::{Dislocation, Foil};
 pub use scene::{Scene, SceneSettings, Speck};
 pub use view::{ViewSettings, render};

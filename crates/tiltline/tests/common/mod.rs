@@ -30,12 +30,8 @@ pub fn rendered_pair(
     let left = ViewSettings { tilt_rad: tilts.left_rad, seed: 2 * settings.seed, ..base.clone() };
     let mut right = ViewSettings { tilt_rad: tilts.right_rad, seed: 2 * settings.seed + 1, ..base.clone() };
     edit(&mut right);
-    let pair = StereoPair {
-        left: render(&scene, &left),
-        right: render(&scene, &right),
-        tilts,
-        tilt_axis_rad: base.axis_rad,
-    };
+    let pair =
+        StereoPair { left: render(&scene, &left), right: render(&scene, &right), tilts, tilt_axis_rad: base.axis_rad };
     let curves = [left.project_curves(&scene), right.project_curves(&scene)];
     RenderedPair { scene, views: [left, right], pair, curves }
 }
@@ -88,7 +84,8 @@ pub fn agreement(result: &Reconstruction, truth: &RenderedPair) -> Agreement {
             .min_by(f64::total_cmp);
         errors.extend(error.map(|error| (error, point.sigma_disparity_px)));
     }
-    let share = |k: f64| errors.iter().filter(|(error, sigma)| *error <= k * sigma).count() as f64 / errors.len() as f64;
+    let share =
+        |k: f64| errors.iter().filter(|(error, sigma)| *error <= k * sigma).count() as f64 / errors.len() as f64;
     Agreement {
         completeness: found as f64 / visible.len() as f64,
         correctness: correct as f64 / points.len() as f64,
