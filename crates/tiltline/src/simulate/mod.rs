@@ -2,11 +2,16 @@
 //!
 //! Lengths are in px of an unrotated image at scale 1; the origin is the centre of the foil.
 
+pub mod acquisition;
+pub mod camera;
 pub mod draw;
+pub mod field;
 pub mod foil;
+pub mod parametric;
 pub mod scene;
 pub mod view;
 
+pub use camera::Camera;
 pub use foil::{Dislocation, Foil};
 pub use scene::{Scene, SceneSettings, Speck};
 pub use view::{ViewSettings, render};

@@ -1,13 +1,13 @@
 //! Projects a scene at a tilt and renders it as a micrograph.
 
-use nalgebra::{Rotation2, Translation2};
 use ndarray::Array2;
 use rand::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
 
-use crate::geometry::{Point2, Point3, Similarity2, Vector2, project_at_tilt};
+use crate::geometry::{Point2, Point3, Similarity2};
 use crate::micrograph::Micrograph;
+use crate::simulate::camera::Camera;
 use crate::simulate::draw::profile;
 use crate::simulate::scene::Scene;
 
@@ -51,23 +51,30 @@ impl Default for ViewSettings {
 }
 
 impl ViewSettings {
+    /// The geometry of the view.
+    pub fn camera(&self) -> Camera {
+        Camera {
+            shape: self.shape,
+            tilt_rad: self.tilt_rad,
+            axis_rad: self.axis_rad,
+            scale: self.scale,
+            shift_px: self.shift_px,
+        }
+    }
+
     /// Projected plane (origin at the foil's centre, tilt axis along y) to image px.
     pub fn image_from_projection(&self) -> Similarity2 {
-        let centre = Vector2::new(0.5 * (self.shape[1] as f64 - 1.0), 0.5 * (self.shape[0] as f64 - 1.0));
-        let shift = Translation2::from(centre + Vector2::from(self.shift_px));
-        Similarity2::from_parts(shift, Rotation2::new(self.axis_rad).into(), self.scale)
+        self.camera().image_from_projection()
     }
 
     /// Where a point of the foil lands in the image.
     pub fn project(&self, point: &Point3) -> Point2 {
-        self.image_from_projection() * project_at_tilt(point, self.tilt_rad)
+        self.camera().project(point)
     }
 
     /// The curves of a scene in the image.
     pub fn project_curves(&self, scene: &Scene) -> Vec<Vec<Point2>> {
-        let image_from_projection = self.image_from_projection();
-        let project = |point: &Point3| image_from_projection * project_at_tilt(point, self.tilt_rad);
-        scene.curves.iter().map(|curve| curve.iter().map(project).collect()).collect()
+        scene.curves.iter().map(|curve| self.camera().project_all(curve)).collect()
     }
 }
 
