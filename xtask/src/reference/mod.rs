@@ -1,5 +1,6 @@
 //! Comparisons with independent implementations: `cargo xtask reference [TOPIC...]`, one file a topic.
 
+mod formats;
 mod sgbm;
 
 use miette::{Result, miette};
@@ -9,7 +10,7 @@ use crate::venv::Venv;
 /// A topic's name and what it runs.
 type Topic = (&'static str, fn(&Venv) -> Result<()>);
 
-const TOPICS: &[Topic] = &[("sgbm", sgbm::run)];
+const TOPICS: &[Topic] = &[("formats", formats::run), ("sgbm", sgbm::run)];
 
 /// Runs the named topics, or all.
 pub fn run(names: &[String]) -> Result<()> {

@@ -1,0 +1,188 @@
+//! `curves.json`: everything in curves.csv under the same names, with the frame, measures, junctions and warnings
+//! (JSON, RFC 8259). One line a curve, so that the file can be read and compared by eye.
+//!
+//! A number that is unknown is `null`.
+
+use std::io::{self, Write};
+
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+use crate::curve::{Curve3, CurvePoint, TraceEnd};
+use crate::export::csv::curve_columns;
+use crate::export::graph::CurveGraph;
+use crate::export::number::{PX_DECIMALS, length_decimals, rounded};
+use crate::measure::CurveMeasures;
+use crate::reconstruction::{LengthUnit, Reconstruction};
+
+/// Version of the layout of this file; grows when a name changes or goes.
+const FORMAT_VERSION: u32 = 1;
+
+/// Writes `curves.json`.
+pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -> io::Result<()> {
+    let unit = reconstruction.frame.unit;
+    let decimals = length_decimals(&reconstruction.frame);
+    let graph = CurveGraph::new(reconstruction);
+    writeln!(out, "{{")?;
+    entry(out, "format_version", &FORMAT_VERSION)?;
+    entry(out, "tilts_deg", &[reconstruction.pair.tilts.left_rad, reconstruction.pair.tilts.right_rad].map(degrees))?;
+    entry(out, "frame", &reconstruction.frame)?;
+    entry(out, "rectification", &reconstruction.rectified.rectification)?;
+    let measures = &reconstruction.measures;
+    entry(out, "measures", &Summary { measures, unit })?;
+    entry(out, "warnings", &reconstruction.warnings)?;
+    let junctions: Vec<Junction> = graph
+        .junctions
+        .iter()
+        .map(|junction| Junction {
+            position: [junction.position.x, junction.position.y, junction.position.z].map(|v| rounded(v, decimals)),
+            sigma_z: rounded(junction.sigma_z, decimals),
+            ends: junction
+                .ends
+                .iter()
+                .map(|end| JunctionEnd {
+                    curve: end.curve,
+                    end: if end.end == 0 { "first" } else { "last" },
+                    joined: end.joined,
+                })
+                .collect(),
+        })
+        .collect();
+    list(out, "junctions", junctions.iter())?;
+    writeln!(out, ",")?;
+    // A trace's junction is known by its index in the left image; here by its index in the list above.
+    let junction_of = |trace_junction: usize| {
+        graph.junctions.iter().position(|junction| junction.trace_junction == trace_junction)
+    };
+    let curves: Vec<CurveEntry<'_>> = reconstruction
+        .curves
+        .iter()
+        .enumerate()
+        .map(|(index, curve)| CurveEntry {
+            curve: index,
+            closed: curve.closed,
+            ends: curve.ends.map(|end| End::new(end, &junction_of)),
+            measures: measures.per_curve.get(index),
+            points: Points { curve, unit, decimals },
+        })
+        .collect();
+    list(out, "curves", curves.iter())?;
+    writeln!(out, "\n}}")
+}
+
+fn degrees(angle: f64) -> f64 {
+    rounded(angle.to_degrees(), 6)
+}
+
+fn entry(out: &mut (impl Write + ?Sized), name: &str, value: &impl Serialize) -> io::Result<()> {
+    write!(out, "\"{name}\": ")?;
+    serde_json::to_writer(&mut *out, value)?;
+    writeln!(out, ",")
+}
+
+fn list<T: Serialize>(out: &mut (impl Write + ?Sized), name: &str, items: impl Iterator<Item = T>) -> io::Result<()> {
+    write!(out, "\"{name}\": [")?;
+    for (index, item) in items.enumerate() {
+        write!(out, "{}", if index == 0 { "\n" } else { ",\n" })?;
+        serde_json::to_writer(&mut *out, &item)?;
+    }
+    write!(out, "]")
+}
+
+/// The measures of the whole result, without the table of curves, which stands with the curves.
+struct Summary<'a> {
+    measures: &'a crate::measure::Measures,
+    unit: LengthUnit,
+}
+
+impl Serialize for Summary<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let measures = self.measures;
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("unit", &self.unit)?;
+        map.serialize_entry("curves", &measures.curves)?;
+        map.serialize_entry("total_length", &measures.total_length)?;
+        map.serialize_entry("total_length_sigma", &measures.total_length_sigma)?;
+        map.serialize_entry("doubtful_share", &measures.doubtful_share)?;
+        map.serialize_entry("depth", &measures.depth)?;
+        map.serialize_entry("foil", &measures.foil)?;
+        map.serialize_entry("density", &measures.density)?;
+        map.end()
+    }
+}
+
+#[derive(Serialize)]
+struct Junction {
+    position: [f64; 3],
+    sigma_z: f64,
+    ends: Vec<JunctionEnd>,
+}
+
+#[derive(Serialize)]
+struct JunctionEnd {
+    curve: usize,
+    end: &'static str,
+    joined: bool,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "snake_case")]
+enum End {
+    Free,
+    Border,
+    Junction(usize),
+}
+
+impl End {
+    fn new(end: TraceEnd, junction_of: &impl Fn(usize) -> Option<usize>) -> Self {
+        match end {
+            TraceEnd::Free => End::Free,
+            TraceEnd::Border => End::Border,
+            TraceEnd::Junction(index) => junction_of(index).map_or(End::Free, End::Junction),
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct CurveEntry<'a> {
+    curve: usize,
+    closed: bool,
+    ends: [End; 2],
+    measures: Option<&'a CurveMeasures>,
+    points: Points<'a>,
+}
+
+/// The columns of curves.csv, an array each.
+struct Points<'a> {
+    curve: &'a Curve3,
+    unit: LengthUnit,
+    decimals: usize,
+}
+
+impl Serialize for Points<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let names = curve_columns(self.unit);
+        let getters: [fn(&CurvePoint) -> f64; 10] = [
+            |point| point.left_input.x,
+            |point| point.left_input.y,
+            |point| point.right_input.x,
+            |point| point.right_input.y,
+            |point| point.disparity_px,
+            |point| point.sigma_disparity_px,
+            |point| point.position.x,
+            |point| point.position.y,
+            |point| point.position.z,
+            |point| point.sigma_z,
+        ];
+        let mut map = serializer.serialize_map(Some(getters.len() + 1))?;
+        // The first two columns, curve and point, are the place in this file.
+        for (index, get) in getters.iter().enumerate() {
+            let decimals = if index < 6 { PX_DECIMALS } else { self.decimals };
+            let values: Vec<f64> = self.curve.points.iter().map(|point| rounded(get(point), decimals)).collect();
+            map.serialize_entry(&names[index + 2], &values)?;
+        }
+        let flags: Vec<&str> = self.curve.points.iter().map(|point| point.flag.word()).collect();
+        map.serialize_entry(&names[12], &flags)?;
+        map.end()
+    }
+}
