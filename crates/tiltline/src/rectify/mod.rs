@@ -2,6 +2,15 @@
 //!
 //! PLACEHOLDER interface: the estimation is in the files of this folder.
 
+mod descriptor;
+mod keypoints;
+mod point_matching;
+mod scale_space;
+mod sift;
+
+pub use point_matching::{PointMatch, match_features};
+pub use sift::{Feature, SiftSettings, sift};
+
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
