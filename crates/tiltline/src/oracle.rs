@@ -103,8 +103,10 @@ impl Rectification {
             axis_deg: left.axis_rad.to_degrees(),
             axis_sigma_deg: 0.0,
             axis_held_by_prior: false,
+            eigenvalue_ratio: 1.0,
             relative_rotation_deg: (right.axis_rad - left.axis_rad).to_degrees(),
             relative_scale: right.scale / left.scale,
+            right_from_left: right.image_from_projection() * left.image_from_projection().inverse(),
             disparity_range_px: [0.0, 0.0],
         }
     }

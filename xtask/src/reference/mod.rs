@@ -2,6 +2,7 @@
 
 mod formats;
 mod sgbm;
+mod sift;
 
 use miette::{Result, miette};
 
@@ -10,7 +11,7 @@ use crate::venv::Venv;
 /// A topic's name and what it runs.
 type Topic = (&'static str, fn(&Venv) -> Result<()>);
 
-const TOPICS: &[Topic] = &[("formats", formats::run), ("sgbm", sgbm::run)];
+const TOPICS: &[Topic] = &[("formats", formats::run), ("sgbm", sgbm::run), ("sift", sift::run)];
 
 /// Runs the named topics, or all.
 pub fn run(names: &[String]) -> Result<()> {

@@ -1,13 +1,35 @@
-//! Rectification: makes epipolar lines of a pair rows (paper, section "Image Rectification"; DESIGN section 3).
+//! Rectification: makes epipolar lines of a pair rows (paper, section "Image Rectification"; CONVENTIONS.md for signs).
 //!
-//! PLACEHOLDER interface: the estimation is in the files of this folder.
+//! The path: SIFT features of both images ([`mod@sift`]), matched by descriptor ([`point_matching`]), the matches that
+//! share one geometry ([`ransac`]), that geometry with what is known of the axis ([`epipolar`]; the paper's own model is
+//! in [`paper_model`]), and both images on one grid ([`resample`]). All lengths are px of the left image's scale.
+//!
+//! Scale along the rows and shear along them change no epipolar line and cannot be seen in two views: only rotation,
+//! isotropic scale and shift are applied.
+
+pub mod descriptor;
+pub mod epipolar;
+pub mod estimate;
+pub mod keypoints;
+pub mod paper_model;
+pub mod point_matching;
+pub mod ransac;
+pub mod resample;
+pub mod scale_space;
+pub mod sift;
+
+pub use estimate::estimate;
+pub use point_matching::{PointMatch, match_features};
+pub use sift::{Feature, SiftSettings, sift};
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::Similarity2;
 use crate::micrograph::{StereoPair, View};
+use crate::progress::Stage;
 use crate::warning::Warning;
+use resample::resample;
 
 /// Settings of rectification.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,11 +39,13 @@ pub struct RectifySettings {
     pub model: Model,
     /// One sigma of the prior on the direction of the tilt axis about the given one, in degrees.
     pub axis_prior_sigma_deg: f64,
+    /// The features whose matches show the geometry.
+    pub sift: SiftSettings,
 }
 
 impl Default for RectifySettings {
     fn default() -> Self {
-        Self { model: Model::Affine, axis_prior_sigma_deg: 1.0 }
+        Self { model: Model::Affine, axis_prior_sigma_deg: 1.0, sift: SiftSettings::default() }
     }
 }
 
@@ -48,21 +72,29 @@ pub struct Rectification {
     pub inliers: usize,
     /// Point matches in all.
     pub matches: usize,
-    /// Root mean square row difference of the inliers after rectification, in rectified px.
+    /// Root mean square row difference of the inliers after rectification, in rectified px: mostly the error of the
+    /// points themselves.
     pub rms_row_error_px: f64,
-    /// One-sigma error of a row correspondence, in rectified px (enters sigma of disparity as `sigma_row cot psi`).
+    /// One-sigma systematic error of a row correspondence, root mean square over the image, in rectified px: how far
+    /// rows may be off once the points' own errors have averaged out (enters sigma of disparity as `sigma_row cot psi`).
     pub sigma_row_px: f64,
     /// Tilt-axis direction in the left image, degrees clockwise on the screen from image y.
     pub axis_deg: f64,
-    /// One sigma of it.
+    /// One sigma of it, points and prior together.
     pub axis_sigma_deg: f64,
-    /// Whether the points could not show the axis (all in one plane), so that the prior holds it.
+    /// Whether the points say less about the axis than the prior does (all in one plane), so that the prior holds it.
     pub axis_held_by_prior: bool,
-    /// Rotation that takes right-image directions to left-image directions... see CONVENTIONS.md; degrees clockwise.
+    /// Third eigenvalue of the inliers' 4x4 covariance over the fourth: near 1 the points lie in one plane.
+    pub eigenvalue_ratio: f64,
+    /// Direction of the tilt axis in the right image less that in the left, degrees clockwise on the screen: how far
+    /// things are turned in the right image relative to the left one. Points in one plane show it too, given the axis.
     pub relative_rotation_deg: f64,
-    /// Size of the right image's features relative to the left's.
+    /// Size along the tilt axis of things in the right image over that in the left (magnification of right over left).
     pub relative_scale: f64,
-    /// Disparity range of the inliers, [min, max] in rectified px.
+    /// Least squares similarity of the inliers, left input px to right input px. It ignores depth, and where the points'
+    /// plane is tilted its rotation and scale differ a little from the two above, which follow the rows only.
+    pub right_from_left: Similarity2,
+    /// Disparities of the inliers, 1 and 99 percentile, in rectified px; their median is zero.
     pub disparity_range_px: [f64; 2],
 }
 
@@ -90,8 +122,23 @@ impl RectifiedPair {
 /// Why a pair could not be rectified.
 #[derive(Debug, thiserror::Error)]
 pub enum RectifyError {
+    /// An image shows too little.
+    #[error(
+        "SIFT finds {left} features in the left and {right} in the right image, and {SMALLEST_INLIERS} in each are needed: \
+         an image may be constant, blurred, or smaller than 16 px a side"
+    )]
+    TooFewFeatures {
+        /// In the left image.
+        left: usize,
+        /// In the right image.
+        right: usize,
+    },
     /// Too few point matches.
-    #[error("only {inliers} of {matches} point matches agree with a tilt (6 are needed)")]
+    #[error(
+        "only {inliers} of {matches} point matches agree with a tilt, and {SMALLEST_INLIERS} are needed: check that both \
+         images show the same area in the same contrast and at about the same magnification; views closer in tilt match \
+         better, and a lower rectify.sift.contrast_threshold finds more points"
+    )]
     TooFewMatches {
         /// Matches in all.
         matches: usize,
@@ -100,11 +147,27 @@ pub enum RectifyError {
     },
 }
 
-/// Estimates the geometry of a pair and resamples both images.
+/// Fewer inliers are an error.
+pub const SMALLEST_INLIERS: usize = 6;
+
+/// Estimates the geometry of a pair and resamples both images. The same seed gives the same result.
 pub fn rectify(
-    _pair: &StereoPair,
-    _settings: &RectifySettings,
-    _seed: u64,
+    pair: &StereoPair,
+    settings: &RectifySettings,
+    seed: u64,
 ) -> Result<(RectifiedPair, Vec<Warning>), RectifyError> {
-    Err(RectifyError::TooFewMatches { matches: 0, inliers: 0 })
+    let images = View::BOTH.map(|view| pair.view(view).normalised());
+    let [left, right] = images.each_ref().map(|image| sift(image, &settings.sift));
+    if left.len().min(right.len()) < SMALLEST_INLIERS {
+        return Err(RectifyError::TooFewFeatures { left: left.len(), right: right.len() });
+    }
+    let matches = match_features(&left, &right);
+    let shapes = images.each_ref().map(|image| [image.nrows(), image.ncols()]);
+    let (rectification, mut warnings) = estimate(&matches, shapes, pair.tilt_axis_rad, settings, seed)?;
+    let maps = [&rectification.rectified_from_left, &rectification.rectified_from_right];
+    let [left, right] = [0, 1].map(|view| resample(&images[view].view(), maps[view], rectification.shape));
+    if right.iter().all(|value| value.is_nan()) {
+        warnings.push(Warning::new(Stage::Rectify, "the images do not overlap: no line can be matched"));
+    }
+    Ok((RectifiedPair { left, right, rectification }, warnings))
 }

@@ -1,0 +1,255 @@
+//! Which point matches are right: random sampling with a score (MSAC, Torr and Zisserman 2000) and local optimisation
+//! (Chum, Matas and Kittler 2003), first of the similarity that most matches share, then of the epipolar geometry.
+//!
+//! The epipolar constraint alone lets any wrong match pass that happens to lie on the right row, and such matches, with
+//! huge disparities, would decide the axis. A foil is thin: its disparities lie in a band about a plane. So matches must
+//! also agree roughly with a common similarity, and in the end with the other inliers' disparities.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use nalgebra::{Matrix3, Vector3, Vector4};
+
+use super::epipolar::{AxisPrior, Epipolar, Moments, Posterior, fit_similarity, fit_with_prior, wrapped};
+use super::point_matching::PointMatch;
+use crate::geometry::Similarity2;
+
+/// Largest distance from the common similarity, as a share of the image's diagonal: generous for tilted, thick foils.
+const PARALLAX_SHARE: f64 = 1.0 / 12.0;
+/// Largest residual of one coordinate, px per 1448 px of diagonal (1024 x 1024) and at least that.
+const RESIDUAL_PX: f64 = 2.0;
+/// Samples at most; fewer where many matches agree.
+const SAMPLES: usize = 4000;
+/// A sample's rotation and scale may differ so much from the common similarity's.
+const SANE_TURN_RAD: f64 = 0.2;
+const SANE_SCALE: f64 = 1.2;
+
+/// What the matches say.
+#[derive(Clone, Debug)]
+pub struct Consensus {
+    /// Matches that agree.
+    pub inliers: Vec<PointMatch>,
+    /// The fit to them.
+    pub posterior: Posterior,
+    /// The similarity that takes left points to right ones, least squares over the inliers.
+    pub right_from_left: Similarity2,
+}
+
+/// Finds the geometry that most matches share; `Err` holds how many agreed where that is too few to fit.
+///
+/// `diagonal_px` is the diagonal of the larger image.
+pub fn consensus(matches: &[PointMatch], diagonal_px: f64, prior: &AxisPrior, seed: u64) -> Result<Consensus, usize> {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let reach = PARALLAX_SHARE * diagonal_px;
+    let similarity = common_similarity(matches, reach, &mut rng).ok_or(0_usize)?;
+    let near: Vec<PointMatch> =
+        matches.iter().filter(|pair| (similarity * pair.left - pair.right).norm() < reach).copied().collect();
+    let limit = RESIDUAL_PX * (diagonal_px / 1448.0).max(1.0);
+    let sampled = sample_epipolar(&near, &similarity, limit, prior.axis_rad, &mut rng).ok_or(near.len().min(4))?;
+    refine(&near, sampled, limit, prior)
+}
+
+/// Indices of distinct random matches.
+fn draw<const N: usize>(count: usize, rng: &mut Pcg64) -> [usize; N] {
+    let mut drawn = [usize::MAX; N];
+    for i in 0..N {
+        drawn[i] = loop {
+            let index = rng.random_range(0..count);
+            if !drawn[..i].contains(&index) {
+                break index;
+            }
+        };
+    }
+    drawn
+}
+
+/// Samples needed to draw one of `size` right matches with 99.9 percent, if a share is right.
+fn samples_needed(share: f64, size: i32) -> usize {
+    let all_right = share.powi(size).clamp(1e-9, 1.0 - 1e-9);
+    ((1e-3_f64).ln() / (1.0 - all_right).ln()).ceil() as usize
+}
+
+/// The similarity (right from left) about which most matches crowd: a match scores more the nearer it is.
+fn common_similarity(matches: &[PointMatch], reach: f64, rng: &mut Pcg64) -> Option<Similarity2> {
+    if matches.len() < 2 {
+        return None;
+    }
+    let core2 = (reach / 6.0).powi(2);
+    let score = |similarity: &Similarity2| -> f64 {
+        let squares = matches.iter().map(|pair| (similarity * pair.left - pair.right).norm_squared());
+        squares.filter(|square| *square < reach * reach).map(|square| core2 / (core2 + square)).sum()
+    };
+    let mut best: Option<(f64, Similarity2)> = None;
+    let mut needed = SAMPLES;
+    let mut sample = 0;
+    while sample < needed.min(SAMPLES) {
+        sample += 1;
+        let pair: [usize; 2] = draw(matches.len(), rng);
+        let Some(similarity) = fit_similarity(pair.iter().map(|&i| (&matches[i], 1.0))) else { continue };
+        if !(0.5..2.0).contains(&similarity.scaling()) {
+            continue;
+        }
+        let found = score(&similarity);
+        if best.as_ref().is_none_or(|(highest, _)| found > *highest) {
+            best = Some((found, similarity));
+            // The score counts near matches only in part, so this asks for more samples rather than fewer.
+            needed = samples_needed(found / matches.len() as f64, 2).max(200);
+        }
+    }
+    let (_, mut similarity) = best?;
+    for _ in 0..10 {
+        let weighted = matches.iter().map(|pair| {
+            let square = (similarity * pair.left - pair.right).norm_squared();
+            (pair, if square < reach * reach { (core2 / (core2 + square)).powi(2) } else { 0.0 })
+        });
+        similarity = fit_similarity(weighted)?;
+    }
+    Some(similarity)
+}
+
+/// The constraint through four matches: the direction of (x_L, y_L, x_R, y_R) perpendicular to their differences.
+fn through_four(matches: [&PointMatch; 4]) -> (Vector4<f64>, f64) {
+    let [p, q, r, s] = matches.map(|pair| Vector4::new(pair.left.x, pair.left.y, pair.right.x, pair.right.y));
+    let rows = [q - p, r - p, s - p];
+    let minor = |skip: usize| {
+        let column = |index: usize| index + usize::from(index >= skip);
+        Matrix3::from_fn(|row, index| rows[row][column(index)]).determinant()
+    };
+    let normal = Vector4::new(minor(0), -minor(1), minor(2), -minor(3));
+    (normal, -normal.dot(&p))
+}
+
+fn sane(geometry: &Epipolar, similarity: &Similarity2) -> bool {
+    let turn = geometry.relative_rotation_rad() - similarity.isometry.rotation.angle();
+    let scale = geometry.scale / similarity.scaling();
+    wrapped(turn, std::f64::consts::TAU).abs() < SANE_TURN_RAD && (1.0 / SANE_SCALE..SANE_SCALE).contains(&scale)
+}
+
+fn residuals2(geometry: &Epipolar, matches: &[PointMatch]) -> Vec<f64> {
+    let gain2 = geometry.row_noise_gain().powi(2);
+    geometry.differences(matches).iter().map(|difference| difference.y * difference.y / gain2).collect()
+}
+
+/// MSAC: each match costs its squared residual, at most the limit's.
+fn cost(residuals2: &[f64], limit: f64) -> f64 {
+    residuals2.iter().map(|square| square.min(limit * limit)).sum()
+}
+
+fn sample_epipolar(
+    matches: &[PointMatch],
+    similarity: &Similarity2,
+    limit: f64,
+    axis_rad: f64,
+    rng: &mut Pcg64,
+) -> Option<Epipolar> {
+    if matches.len() < 4 {
+        return None;
+    }
+    let mut best: Option<(f64, Epipolar)> = None;
+    let mut needed = SAMPLES;
+    let mut sample = 0;
+    while sample < needed.min(SAMPLES) {
+        sample += 1;
+        let four: [usize; 4] = draw(matches.len(), rng);
+        let (normal, f) = through_four(four.map(|i| &matches[i]));
+        let Some(geometry) = Epipolar::from_constraint(&normal.normalize(), f / normal.norm(), axis_rad) else {
+            continue;
+        };
+        if !sane(&geometry, similarity) {
+            continue;
+        }
+        let squares = residuals2(&geometry, matches);
+        let found = cost(&squares, limit);
+        if best.as_ref().is_some_and(|(lowest, _)| found >= *lowest) {
+            continue;
+        }
+        best = Some((found, geometry));
+        // Local optimisation: fit to the inliers, wide to narrow, and keep what is better.
+        let mut current = geometry;
+        for widening in [2.0, 1.5, 1.0, 1.0] {
+            let squares = residuals2(&current, matches);
+            let inside = (widening * limit).powi(2);
+            let chosen = matches.iter().zip(&squares).filter(|(_, square)| **square < inside).map(|(pair, _)| pair);
+            let moments = Moments::of(chosen);
+            let Some(fitted) = (moments.count >= 5).then(|| moments.fit(axis_rad)).flatten() else { break };
+            if !sane(&fitted, similarity) {
+                break;
+            }
+            current = fitted;
+            let squares = residuals2(&current, matches);
+            let found = cost(&squares, limit);
+            if best.as_ref().is_none_or(|(lowest, _)| found < *lowest) {
+                best = Some((found, current));
+                let inliers = squares.iter().filter(|square| **square < limit * limit).count();
+                needed = samples_needed(inliers as f64 / matches.len() as f64, 4).max(100);
+            }
+        }
+    }
+    best.map(|(_, geometry)| geometry)
+}
+
+/// Final fit: inliers are chosen by row residual (three sigma, as estimated from them) and by disparity, and the
+/// geometry is fitted to them with the prior, until the choice stays.
+fn refine(matches: &[PointMatch], start: Epipolar, limit: f64, prior: &AxisPrior) -> Result<Consensus, usize> {
+    let mut geometry = start;
+    let mut chosen: Vec<usize> = Vec::new();
+    let mut posterior = None;
+    for _ in 0..20 {
+        let squares = residuals2(&geometry, matches);
+        let mut within: Vec<usize> = (0..matches.len()).filter(|&i| squares[i] < limit * limit).collect();
+        let sigma = 1.4826 * median(within.iter().map(|&i| squares[i].sqrt()));
+        // Below a twentieth of a px the limit is exact arithmetic's, not a measurement's.
+        let cut = (3.0 * sigma).clamp(0.05, limit);
+        within.retain(|&i| squares[i] < cut * cut);
+        let next = plausible_disparities(matches, &geometry, within);
+        if next == chosen {
+            break;
+        }
+        chosen = next;
+        let moments = Moments::of(chosen.iter().map(|&i| &matches[i]));
+        let fitted = fit_with_prior(&moments, prior).ok_or(chosen.len())?;
+        geometry = fitted.geometry;
+        posterior = Some(fitted);
+    }
+    let inliers: Vec<PointMatch> = chosen.iter().map(|&i| matches[i]).collect();
+    let right_from_left = fit_similarity(inliers.iter().map(|pair| (pair, 1.0))).ok_or(inliers.len())?;
+    let posterior = posterior.ok_or(inliers.len())?;
+    Ok(Consensus { inliers, posterior, right_from_left })
+}
+
+/// Drops matches whose disparity is far from the plane through the others': beyond six robust sigmas and 2 px. Uniform
+/// disparities of a thick foil reach 1.3 robust sigmas, so only what is far outside a foil goes.
+fn plausible_disparities(matches: &[PointMatch], geometry: &Epipolar, within: Vec<usize>) -> Vec<usize> {
+    let pairs: Vec<PointMatch> = within.iter().map(|&i| matches[i]).collect();
+    let disparities: Vec<f64> = geometry.differences(&pairs).iter().map(|difference| difference.x).collect();
+    let off = |plane: &Vector3<f64>| -> Vec<f64> {
+        pairs.iter().zip(&disparities).map(|(pair, d)| d - plane.dot(&pair.left.to_homogeneous())).collect()
+    };
+    let mut plane = Vector3::new(0.0, 0.0, median(disparities.iter().copied()));
+    for _ in 0..10 {
+        // Least absolute deviations by reweighting; one px keeps the weights finite.
+        let weights = off(&plane).into_iter().map(|off| 1.0 / (1.0 + off.abs()));
+        let (mut normal, mut target) = (Matrix3::zeros(), Vector3::zeros());
+        for ((pair, d), weight) in pairs.iter().zip(&disparities).zip(weights) {
+            let point = pair.left.to_homogeneous();
+            normal += weight * point * point.transpose();
+            target += weight * *d * point;
+        }
+        let Some(solved) = normal.cholesky().map(|factor| factor.solve(&target)) else { break };
+        plane = solved;
+    }
+    let off = off(&plane);
+    let centre = median(off.iter().copied());
+    let bound = 2.0 + 6.0 * 1.4826 * median(off.iter().map(|off| (off - centre).abs()));
+    within.into_iter().zip(off).filter(|(_, off)| (off - centre).abs() <= bound).map(|(i, _)| i).collect()
+}
+
+/// The middle value; 0 of nothing.
+pub fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
