@@ -10,6 +10,8 @@
 mod beside;
 mod content;
 mod error;
+#[doc(hidden)]
+pub mod exercise;
 mod header;
 mod info;
 mod input;

@@ -26,27 +26,36 @@ pub fn parse_tilts(given: &str) -> Result<Vec<f64>, ReadError> {
     if given_text.is_empty() {
         return Err(fault(format!("there is nothing; {FORMS}")));
     }
-    let is_number = |part: &str| part.trim().parse::<f64>().is_ok();
-    let ranges: Vec<&str> = given_text.split(':').collect();
-    let list: Vec<&str> = given_text.split(',').collect();
+    if let Some(tilts) = parse_argument(given_text) {
+        return tilts.map_err(fault);
+    }
     // A file may be named with commas and colons; where every part is a number none is meant.
-    let tilts = if list.iter().all(|part| is_number(part)) {
-        list.iter().map(|part| part.trim().parse().expect("every part was parsed above")).collect()
-    } else if ranges.len() == 3 && ranges.iter().all(|part| is_number(part)) {
-        let [start, end, step] =
-            [0, 1, 2].map(|part: usize| ranges[part].trim().parse().expect("every part was parsed above"));
-        range(start, end, step).map_err(fault)?
-    } else if std::path::Path::new(given_text).exists() {
+    if std::path::Path::new(given_text).exists() {
         return read_file(given_text);
-    } else if let Some(odd) = list.iter().find(|part| !is_number(part)).filter(|_| list.len() > 1) {
-        return Err(fault(format!("{odd:?} is not a number, and there is no such file; {FORMS}")));
-    } else if ranges.len() > 1 {
-        return Err(fault(format!("a range is three numbers START:END:STEP, and there is no such file; {FORMS}")));
-    } else {
-        return Err(fault(format!("there is no such file; {FORMS}")));
+    }
+    let parts: Vec<&str> = given_text.split(',').collect();
+    let odd = parts.iter().find(|part| number(part).is_none()).filter(|_| parts.len() > 1);
+    let what = match odd {
+        Some(odd) => format!("{odd:?} is not a number, and there is no such file"),
+        None if given_text.contains(':') => "a range is three numbers, and there is no such file".to_owned(),
+        None => "there is no such file".to_owned(),
     };
-    check(&tilts).map_err(fault)?;
-    Ok(tilts)
+    Err(fault(format!("{what}; {FORMS}")))
+}
+
+/// Tilts of a list or a range; `None` where not every part is a number.
+pub(super) fn parse_argument(text: &str) -> Option<Result<Vec<f64>, String>> {
+    let numbers = |separator: char| text.split(separator).map(number).collect::<Option<Vec<f64>>>();
+    let tilts = match (numbers(','), numbers(':').as_deref()) {
+        (Some(list), _) => Ok(list),
+        (None, Some(&[start, end, step])) => range(start, end, step),
+        _ => return None,
+    };
+    Some(tilts.and_then(|tilts| check(&tilts).map(|()| tilts)))
+}
+
+fn number(text: &str) -> Option<f64> {
+    text.trim().parse().ok()
 }
 
 /// Tilts of a text with one number a line, as `.rawtlt` and `.tlt` have it; empty lines and `#` comments are passed over.
