@@ -19,6 +19,7 @@ pub mod matching;
 pub mod measure;
 pub mod micrograph;
 pub mod oracle;
+pub mod pair;
 pub mod pipeline;
 pub mod progress;
 pub mod reconstruction;

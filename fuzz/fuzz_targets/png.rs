@@ -1,0 +1,4 @@
+//! The PNG reader.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| tiltline::io::exercise::png(bytes));
