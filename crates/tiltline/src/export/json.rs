@@ -51,9 +51,8 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     list(out, "junctions", junctions.iter())?;
     writeln!(out, ",")?;
     // A trace's junction is known by its index in the left image; here by its index in the list above.
-    let junction_of = |trace_junction: usize| {
-        graph.junctions.iter().position(|junction| junction.trace_junction == trace_junction)
-    };
+    let junction_of =
+        |trace_junction: usize| graph.junctions.iter().position(|junction| junction.trace_junction == trace_junction);
     let curves: Vec<CurveEntry<'_>> = reconstruction
         .curves
         .iter()
