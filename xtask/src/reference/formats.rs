@@ -21,11 +21,24 @@ use crate::venv::Venv;
 /// Writes a rendered scene's true curves, and a result without curves, and compares what the peers read.
 pub fn run(venv: &Venv) -> Result<()> {
     let cases = [("curves", 512, 14, Some(1.2)), ("large", 1024, 24, None), ("empty", 256, 0, None)];
-    println!("{:<8} {:>7} {:>7}  {:<6} {:<6} {:<6} {:<14} {:<10}", "case", "curves", "points", "vtp", "ply", "obj", "disparity.tif", "sigma.tif");
+    println!(
+        "{:<8} {:>7} {:>7}  {:<6} {:<6} {:<6} {:<14} {:<10}",
+        "case", "curves", "points", "vtp", "ply", "obj", "disparity.tif", "sigma.tif"
+    );
     for (name, size, curves, pixel_size_nm) in cases {
         let result = truth(size, curves, pixel_size_nm);
         let folder = venv.work.join("formats").join(name);
         std::fs::create_dir_all(&folder).into_diagnostic()?;
+        for (n, w) in export::WRITERS {
+            let t = std::time::Instant::now();
+            let mut v = std::io::Cursor::new(Vec::new());
+            w(&result, &mut v).into_diagnostic()?;
+            let t1 = t.elapsed().as_secs_f64();
+            let f = std::fs::File::create("/tmp/export/x").into_diagnostic()?;
+            std::io::Write::write_all(&mut &f, v.get_ref()).into_diagnostic()?;
+            f.sync_all().into_diagnostic()?;
+            println!("TMP {n} {t1:.3} sync {:.3}", t.elapsed().as_secs_f64() - t1);
+        }
         let start = std::time::Instant::now();
         export::write_all(&result, &[], &folder, true).into_diagnostic()?;
         let seconds = start.elapsed().as_secs_f64();
@@ -63,14 +76,14 @@ fn report(name: &str, result: &Reconstruction, folder: &Path, answer: &Value) ->
 fn truth(size: usize, curves: usize, pixel_size_nm: Option<f64>) -> Reconstruction {
     let scene = Scene::random(&SceneSettings { size_px: size as f64, curves, ..SceneSettings::default() });
     let tilts = TiltPair::from_degrees(-4.0, 4.0);
-    let view = |tilt_rad: f64, seed: u64| ViewSettings { tilt_rad, shape: [size, size], seed, ..ViewSettings::default() };
+    let view =
+        |tilt_rad: f64, seed: u64| ViewSettings { tilt_rad, shape: [size, size], seed, ..ViewSettings::default() };
     let views = [view(tilts.left_rad, 1), view(tilts.right_rad, 2)];
     let image = |index: usize| Micrograph { pixel_size_nm, ..render(&scene, &views[index]) };
     let pair = StereoPair { left: image(0), right: image(1), tilts, tilt_axis_rad: 0.0 };
     let rectification = Rectification::from_known_views(&views[0], &views[1]);
     let oracle = Oracle::new(&scene, [&views[0], &views[1]], &rectification);
-    let rectified =
-        RectifiedPair { left: pair.left.normalised(), right: pair.right.normalised(), rectification };
+    let rectified = RectifiedPair { left: pair.left.normalised(), right: pair.right.normalised(), rectification };
     let matched: Vec<MatchedCurve> = oracle.curves[0]
         .iter()
         .zip(&oracle.curves[1])
@@ -113,8 +126,7 @@ fn matched_curve(index: usize, left: &[Point2], right: &[Point2], size: usize) -
             flag: if index == 0 && (60..120).contains(&at) { Flag::Bridged } else { Flag::Ok },
         })
         .collect();
-    let ends = [left.first(), left.last()].map(|end| {
-        if end.is_some_and(inside) { TraceEnd::Free } else { TraceEnd::Border }
-    });
+    let ends =
+        [left.first(), left.last()].map(|end| if end.is_some_and(inside) { TraceEnd::Free } else { TraceEnd::Border });
     (points.len() >= 2).then_some(MatchedCurve { left_trace: index, points, closed: false, ends })
 }

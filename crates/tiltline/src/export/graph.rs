@@ -199,10 +199,8 @@ fn junction(curves: &[Curve3], trace_junction: usize, ends: &[(usize, usize)]) -
             leader = (index, votes);
         }
     }
-    let ends: Vec<JunctionEnd> = ends
-        .iter()
-        .map(|key| JunctionEnd { curve: key.0, end: key.1, joined: agree(&ends[leader.0], key) })
-        .collect();
+    let ends: Vec<JunctionEnd> =
+        ends.iter().map(|key| JunctionEnd { curve: key.0, end: key.1, joined: agree(&ends[leader.0], key) }).collect();
     let (mut sum, mut weights) = (Vector3::zeros(), 0.0);
     for end in ends.iter().filter(|end| end.joined) {
         let point = end_point(&curves[end.curve], end.end);

@@ -7,16 +7,21 @@ use std::io::{self, Write};
 
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
+use serde_json::Value;
 
 use crate::curve::{Curve3, CurvePoint, TraceEnd};
 use crate::export::csv::curve_columns;
 use crate::export::graph::CurveGraph;
 use crate::export::number::{PX_DECIMALS, length_decimals, rounded};
-use crate::measure::CurveMeasures;
+use crate::measure::Measures;
 use crate::reconstruction::{LengthUnit, Reconstruction};
 
 /// Version of the layout of this file; grows when a name changes or goes.
 const FORMAT_VERSION: u32 = 1;
+/// Digits of what was measured; none is known better.
+const MEASURE_DIGITS: usize = 6;
+/// Digits of maps and scales, which take part in further arithmetic.
+const GEOMETRY_DIGITS: usize = 12;
 
 /// Writes `curves.json`.
 pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -> io::Result<()> {
@@ -26,10 +31,11 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     writeln!(out, "{{")?;
     entry(out, "format_version", &FORMAT_VERSION)?;
     entry(out, "tilts_deg", &[reconstruction.pair.tilts.left_rad, reconstruction.pair.tilts.right_rad].map(degrees))?;
-    entry(out, "frame", &reconstruction.frame)?;
-    entry(out, "rectification", &reconstruction.rectified.rectification)?;
+    entry(out, "frame", &significant(serde_json::to_value(reconstruction.frame)?, GEOMETRY_DIGITS))?;
+    let rectification = serde_json::to_value(&reconstruction.rectified.rectification)?;
+    entry(out, "rectification", &significant(rectification, GEOMETRY_DIGITS))?;
     let measures = &reconstruction.measures;
-    entry(out, "measures", &Summary { measures, unit })?;
+    entry(out, "measures", &summary(measures, unit)?)?;
     entry(out, "warnings", &reconstruction.warnings)?;
     let junctions: Vec<Junction> = graph
         .junctions
@@ -51,21 +57,18 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     list(out, "junctions", junctions.iter())?;
     writeln!(out, ",")?;
     // A trace's junction is known by its index in the left image; here by its index in the list above.
-    let junction_of = |trace_junction: usize| {
-        graph.junctions.iter().position(|junction| junction.trace_junction == trace_junction)
-    };
-    let curves: Vec<CurveEntry<'_>> = reconstruction
-        .curves
-        .iter()
-        .enumerate()
-        .map(|(index, curve)| CurveEntry {
+    let junction_of =
+        |trace_junction: usize| graph.junctions.iter().position(|junction| junction.trace_junction == trace_junction);
+    let mut curves = Vec::with_capacity(reconstruction.curves.len());
+    for (index, curve) in reconstruction.curves.iter().enumerate() {
+        curves.push(CurveEntry {
             curve: index,
             closed: curve.closed,
             ends: curve.ends.map(|end| End::new(end, &junction_of)),
-            measures: measures.per_curve.get(index),
+            measures: significant(serde_json::to_value(measures.per_curve.get(index))?, MEASURE_DIGITS),
             points: Points { curve, unit, decimals },
-        })
-        .collect();
+        });
+    }
     list(out, "curves", curves.iter())?;
     writeln!(out, "\n}}")
 }
@@ -89,26 +92,28 @@ fn list<T: Serialize>(out: &mut (impl Write + ?Sized), name: &str, items: impl I
     write!(out, "]")
 }
 
-/// The measures of the whole result, without the table of curves, which stands with the curves.
-struct Summary<'a> {
-    measures: &'a crate::measure::Measures,
-    unit: LengthUnit,
+/// A value with its numbers rounded to so many digits that count.
+fn significant(value: Value, digits: usize) -> Value {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            let value = number.as_f64().unwrap_or(f64::NAN);
+            let text = format!("{value:.*e}", digits - 1);
+            text.parse().map_or(Value::Null, |rounded: f64| (rounded + 0.0).into())
+        }
+        Value::Array(items) => items.into_iter().map(|item| significant(item, digits)).collect(),
+        Value::Object(entries) => entries.into_iter().map(|(name, entry)| (name, significant(entry, digits))).collect(),
+        other => other,
+    }
 }
 
-impl Serialize for Summary<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let measures = self.measures;
-        let mut map = serializer.serialize_map(None)?;
-        map.serialize_entry("unit", &self.unit)?;
-        map.serialize_entry("curves", &measures.curves)?;
-        map.serialize_entry("total_length", &measures.total_length)?;
-        map.serialize_entry("total_length_sigma", &measures.total_length_sigma)?;
-        map.serialize_entry("doubtful_share", &measures.doubtful_share)?;
-        map.serialize_entry("depth", &measures.depth)?;
-        map.serialize_entry("foil", &measures.foil)?;
-        map.serialize_entry("density", &measures.density)?;
-        map.end()
+/// The measures of the whole result, without the table of curves, which stands with the curves.
+fn summary(measures: &Measures, unit: LengthUnit) -> Result<Value, serde_json::Error> {
+    let mut value = significant(serde_json::to_value(measures)?, MEASURE_DIGITS);
+    if let Value::Object(entries) = &mut value {
+        entries.remove("per_curve");
+        entries.insert("unit".into(), unit.word().into());
     }
+    Ok(value)
 }
 
 #[derive(Serialize)]
@@ -148,7 +153,7 @@ struct CurveEntry<'a> {
     curve: usize,
     closed: bool,
     ends: [End; 2],
-    measures: Option<&'a CurveMeasures>,
+    measures: Value,
     points: Points<'a>,
 }
 

@@ -31,10 +31,18 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     writeln!(out, "#\n#  END OF DATA FILE PARAMETERS\n#")?;
     writeln!(out, "#  Written by Tiltline. BURGERS VECTORS AND GLIDE PLANES ARE UNKNOWN and written as zero.")?;
     match frame.unit {
-        LengthUnit::Nm => writeln!(out, "#  Coordinates are in nm: set burgMag = 1.0e-09 (m), or divide by the Burgers magnitude in nm.")?,
-        LengthUnit::Px => writeln!(out, "#  Coordinates are in px: the pixel size is unknown, so no burgMag is right.")?,
+        LengthUnit::Nm => writeln!(
+            out,
+            "#  Coordinates are in nm: set burgMag = 1.0e-09 (m), or divide by the Burgers magnitude in nm."
+        )?,
+        LengthUnit::Px => {
+            writeln!(out, "#  Coordinates are in px: the pixel size is unknown, so no burgMag is right.")?
+        }
     }
-    writeln!(out, "#  Nodes with one arm (line ends) are pinned: constraint 7. The box is the field of view, not a crystal's period.\n#\n")?;
+    writeln!(
+        out,
+        "#  Nodes with one arm (line ends) are pinned: constraint 7. The box is the field of view, not a crystal's period.\n#\n"
+    )?;
     writeln!(out, "domainDecomposition =\n# Dom_ID  Minimum XYZ bounds   Maximum XYZ bounds")?;
     writeln!(out, "  0  -{} -{} -{}  {} {} {}", half[0], half[1], half[2], half[0], half[1], half[2])?;
     writeln!(out, "nodalData =")?;

@@ -240,7 +240,8 @@ fn temporary_in(folder: &Path) -> Result<TempDir, ExportError> {
 fn replace(from: &Path, to: &Path) -> io::Result<()> {
     match fs::rename(from, to) {
         Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
-            let mut copy = tempfile::Builder::new().prefix(PREFIX).tempfile_in(to.parent().unwrap_or(Path::new(".")))?;
+            let mut copy =
+                tempfile::Builder::new().prefix(PREFIX).tempfile_in(to.parent().unwrap_or(Path::new(".")))?;
             io::copy(&mut File::open(from)?, copy.as_file_mut())?;
             copy.persist(to).map_err(|error| error.error)?;
             Ok(())

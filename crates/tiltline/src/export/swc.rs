@@ -20,7 +20,11 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     for (rank, &node) in order.iter().enumerate() {
         id[node] = rank + 1;
     }
-    writeln!(out, "# Tiltline curves; unit {} (not micrometres); x right, y down, z away", reconstruction.frame.unit.word())?;
+    writeln!(
+        out,
+        "# Tiltline curves; unit {} (not micrometres); x right, y down, z away",
+        reconstruction.frame.unit.word()
+    )?;
     writeln!(out, "# radius = sigma_z; type 0 inner, 5 junction, 6 end")?;
     for [a, b] in &cut {
         writeln!(out, "# loop cut between {} and {}", id[*a], id[*b])?;

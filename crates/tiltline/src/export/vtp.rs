@@ -30,11 +30,17 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     let point_data = |get: fn(&CurvePoint) -> f64| points().map(get);
 
     writeln!(out, "<?xml version=\"1.0\"?>")?;
-    writeln!(out, "<!-- Tiltline curves; unit {unit}; x right, y down, z away; flag: 0 ok, 1 ill conditioned, 2 bridged -->")?;
+    writeln!(
+        out,
+        "<!-- Tiltline curves; unit {unit}; x right, y down, z away; flag: 0 ok, 1 ill conditioned, 2 bridged -->"
+    )?;
     writeln!(out, "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">")?;
     writeln!(out, "<PolyData>")?;
     let (point_count, line_count) = (points().count(), curves.len());
-    writeln!(out, "<Piece NumberOfPoints=\"{point_count}\" NumberOfVerts=\"0\" NumberOfLines=\"{line_count}\" NumberOfStrips=\"0\" NumberOfPolys=\"0\">")?;
+    writeln!(
+        out,
+        "<Piece NumberOfPoints=\"{point_count}\" NumberOfVerts=\"0\" NumberOfLines=\"{line_count}\" NumberOfStrips=\"0\" NumberOfPolys=\"0\">"
+    )?;
     writeln!(out, "<PointData Scalars=\"z_{unit}\">")?;
     array(out, "Float64", "disparity_px", point_data(|point| point.disparity_px).map(px))?;
     array(out, "Float64", "sigma_disparity_px", point_data(|point| point.sigma_disparity_px).map(px))?;
@@ -50,7 +56,8 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     writeln!(out, "</CellData>\n<Points>")?;
     let xyz = points().map(|point| {
         let position = point.position;
-        [position.x, position.y, position.z].map(length).join(" ")
+        let [x, y, z] = [position.x, position.y, position.z].map(length);
+        format!("{x} {y} {z}")
     });
     array(out, "Float64\" NumberOfComponents=\"3", "Points", xyz)?;
     writeln!(out, "</Points>\n<Lines>")?;

@@ -121,16 +121,14 @@ impl FoilSurfaces {
 }
 
 /// Fits the surfaces of the foil, or says why that cannot be done.
-pub(super) fn fit(
-    curves: &[Curve3],
-    smooth: &[SmoothCurve],
-    frame: &Frame,
-    settings: &MeasureSettings,
-) -> Known<Foil> {
+pub(super) fn fit(curves: &[Curve3], smooth: &[SmoothCurve], frame: &Frame, settings: &MeasureSettings) -> Known<Foil> {
     let ends = free_ends(curves, smooth, frame);
     let wanted = settings.min_surface_ends.max(2 * MIN_ENDS_PER_SURFACE);
     if ends.len() < wanted {
-        return Known::Unknown(format!("{} free line ends, {wanted} are needed to see the foil's surfaces", ends.len()));
+        return Known::Unknown(format!(
+            "{} free line ends, {wanted} are needed to see the foil's surfaces",
+            ends.len()
+        ));
     }
     let Some(surfaces) = search(&ends) else {
         return Known::Unknown("the free line ends lie along one line, which fixes no surface".into());

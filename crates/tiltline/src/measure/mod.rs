@@ -163,8 +163,7 @@ impl LengthBudget {
         let mut budget = Self { total: 0.0, variance: 0.0, depth_part: 0.0 };
         for (curve, smooth) in curves.iter().zip(smooth) {
             let length = smooth.length();
-            let depth_part: f64 =
-                smooth.steps().map(|step| step.z * step.z / step.norm().max(f64::MIN_POSITIVE)).sum();
+            let depth_part: f64 = smooth.steps().map(|step| step.z * step.z / step.norm().max(f64::MIN_POSITIVE)).sum();
             budget.total += length;
             budget.depth_part += depth_part;
             if !curve.closed && length > 0.0 {
@@ -244,7 +243,8 @@ fn weighted_quantiles(mut values: Vec<(f64, f64)>, fractions: &[f64]) -> Option<
             sum >= fraction * total
         })
     };
-    (total > 0.0).then(|| fractions.iter().map(|&fraction| quantile(fraction).map_or(last, |(value, _)| *value)).collect())
+    (total > 0.0)
+        .then(|| fractions.iter().map(|&fraction| quantile(fraction).map_or(last, |(value, _)| *value)).collect())
 }
 
 fn warnings(measures: &Measures, frame: &Frame) -> Vec<Warning> {

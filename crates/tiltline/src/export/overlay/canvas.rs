@@ -1,8 +1,6 @@
 //! An RGB picture to draw lines, boxes and text on, with smooth edges. Coordinates are in canvas px, pixel centres at
 //! integers.
 
-use std::collections::HashMap;
-
 use crate::export::overlay::font;
 use crate::geometry::Point2;
 
@@ -33,6 +31,14 @@ impl Canvas {
         let first = 3 * (row as usize * self.width + column as usize);
         for (old, new) in self.pixels[first..first + 3].iter_mut().zip(colour) {
             *old = (f32::from(*old) * (1.0 - cover) + f32::from(new) * cover).round() as u8;
+        }
+    }
+
+    /// Copies a smaller picture in, its top left corner at (x, y); it must fit.
+    pub fn paste(&mut self, [x, y]: [usize; 2], picture: &Canvas) {
+        for (row, line) in picture.pixels.chunks_exact(3 * picture.width).enumerate() {
+            let first = 3 * ((y + row) * self.width + x);
+            self.pixels[first..first + line.len()].copy_from_slice(line);
         }
     }
 
@@ -70,40 +76,49 @@ pub fn text_width(text: &str, scale: usize) -> usize {
     (text.chars().count() * font::ADVANCE).saturating_sub(1) * scale
 }
 
-/// Lines that are drawn together, so that one does not darken where its own pieces overlap.
-#[derive(Default)]
+/// Lines that are drawn together on a picture of a given size, so that one does not darken where its own pieces overlap.
 pub struct Strokes {
-    covers: HashMap<(i32, i32), (f32, Rgb)>,
+    width: usize,
+    height: usize,
+    /// Cover (255 is full) and colour of each pixel, row by row.
+    covers: Vec<(u8, Rgb)>,
 }
 
 impl Strokes {
-    /// Adds a straight piece of a line, `width` px wide. Later pieces lie on top.
+    /// No lines yet, on a picture of `[width, height]`.
+    pub fn new([width, height]: [usize; 2]) -> Self {
+        Self { width, height, covers: vec![(0, [0; 3]); width * height] }
+    }
+
+    /// Adds a straight piece of a line from a to b (canvas px), `width` px wide. Later pieces lie on top.
     pub fn piece(&mut self, [a, b]: [Point2; 2], width: f64, colour: Rgb) {
         let along = b - a;
         let length2 = along.norm_squared().max(1e-12);
         let reach = 0.5 * width + 0.5;
-        let range = |p: f64, q: f64| ((p.min(q) - reach).ceil() as i32)..=((p.max(q) + reach).floor() as i32);
-        for row in range(a.y, b.y) {
-            for column in range(a.x, b.x) {
-                let offset = Point2::new(f64::from(column), f64::from(row)) - a;
+        let range = |p: f64, q: f64, size: usize| {
+            let first = (p.min(q) - reach).ceil().max(0.0) as usize;
+            let end = (p.max(q) + reach + 1.0).floor().max(0.0) as usize;
+            first..end.min(size)
+        };
+        for row in range(a.y, b.y, self.height) {
+            for column in range(a.x, b.x, self.width) {
+                let offset = Point2::new(column as f64, row as f64) - a;
                 let foot = (offset.dot(&along) / length2).clamp(0.0, 1.0);
-                let cover = (reach - (offset - along * foot).norm()).clamp(0.0, 1.0) as f32;
-                if cover > 0.0 {
-                    let best = self.covers.entry((column, row)).or_insert((0.0, colour));
-                    if cover >= best.0 {
-                        *best = (cover, colour);
-                    }
+                let cover = (reach - (offset - along * foot).norm()).clamp(0.0, 1.0);
+                let cover = (255.0 * cover).round() as u8;
+                let best = &mut self.covers[row * self.width + column];
+                if cover > 0 && cover >= best.0 {
+                    *best = (cover, colour);
                 }
             }
         }
     }
 
-    /// Draws everything within a box of the canvas (`corner`, `[width, height]`), so opaque.
-    pub fn paint(&self, canvas: &mut Canvas, corner: [usize; 2], size: [usize; 2], opacity: f32) {
-        for (&(column, row), &(cover, colour)) in &self.covers {
-            let (x, y) = (i64::from(column) - corner[0] as i64, i64::from(row) - corner[1] as i64);
-            if x >= 0 && y >= 0 && x < size[0] as i64 && y < size[1] as i64 {
-                canvas.blend(column as isize, row as isize, colour, cover * opacity);
+    /// Draws everything, so opaque (0 to 1).
+    pub fn paint(&self, canvas: &mut Canvas, opacity: f32) {
+        for (row, line) in self.covers.chunks_exact(self.width).enumerate() {
+            for (column, &(cover, colour)) in line.iter().enumerate().filter(|(_, (cover, _))| *cover > 0) {
+                canvas.blend(column as isize, row as isize, colour, f32::from(cover) / 255.0 * opacity);
             }
         }
     }

@@ -11,7 +11,6 @@ use ndarray::Array2;
 
 use crate::curve::{CurvePoint, Flag};
 use crate::export::png::encode;
-use crate::filter::percentiles;
 use crate::geometry::Point2;
 use crate::micrograph::View;
 use crate::reconstruction::Reconstruction;
@@ -24,6 +23,9 @@ const INK: Rgb = [32, 32, 32];
 const VOID: Rgb = [225, 228, 232];
 /// Detected lines.
 const DETECTED: Rgb = [255, 255, 255];
+/// Thin edges of the coloured lines: a dark line would swallow the dark end of the colour map.
+const CASING: Rgb = [255, 255, 255];
+const CASING_OPACITY: f32 = 0.7;
 /// A panel is enlarged by whole factors until its longer side has this many px, so that lines do not hide the image.
 const WANTED_PANEL_PX: usize = 768;
 /// A panel is shrunk by whole factors until its longer side has no more px than this.
@@ -40,16 +42,20 @@ pub fn draw(reconstruction: &Reconstruction) -> Canvas {
     let layout = Layout::new(reconstruction);
     let mut canvas = Canvas::new(layout.width, layout.height, PAPER);
     let scale = ColourScale::new(reconstruction);
-    for view in View::BOTH {
-        let corner = layout.panel(view);
-        draw_image(&mut canvas, reconstruction.rectified.view(view), corner, layout.zoom);
-        draw_traces(&mut canvas, reconstruction, view, &layout);
-        draw_curves(&mut canvas, reconstruction, view, &layout, &scale);
+    let panel = |view| {
+        let mut panel = draw_image(reconstruction.rectified.view(view), layout.zoom);
+        draw_traces(&mut panel, reconstruction, view, &layout);
+        draw_curves(&mut panel, reconstruction, view, &layout, &scale);
+        panel
+    };
+    let (left, right) = rayon::join(|| panel(View::Left), || panel(View::Right));
+    for (view, panel) in View::BOTH.into_iter().zip([left, right]) {
+        canvas.paste(layout.panel(view), &panel);
         draw_title(&mut canvas, reconstruction, view, &layout);
     }
     draw_scale_bar(&mut canvas, reconstruction, &layout);
     draw_colour_bar(&mut canvas, reconstruction, &layout, &scale);
-    draw_legend(&mut canvas, reconstruction, &layout);
+    draw_legend(&mut canvas, &layout);
     canvas
 }
 
@@ -114,7 +120,7 @@ impl Layout {
         let legend = 2 * margin + legend_width(dot);
         let mut layout = Self { width: 0, height: 0, zoom, size, dot, margin };
         layout.width = images.max(legend);
-        layout.height = layout.bar_top() + layout.bar_height() + 2 * layout.line() + margin / 2;
+        layout.height = layout.bar_top() + layout.bar_height() + layout.line() + margin;
         layout
     }
 
@@ -139,14 +145,19 @@ impl Layout {
         9 * self.dot
     }
 
-    fn canvas_point(&self, view: View, point: &Point2) -> Point2 {
-        let corner = self.panel(view);
-        Point2::new(self.zoom.map(point.x) + corner[0] as f64, self.zoom.map(point.y) + corner[1] as f64)
+    /// A rectified point on the panel of its image.
+    fn panel_point(&self, point: &Point2) -> Point2 {
+        point.map(|value| self.zoom.map(value))
     }
 
-    /// Width of thin lines on the canvas.
+    /// Width of a detected line on the canvas.
+    fn thin_stroke(&self) -> f64 {
+        0.6 * self.dot as f64
+    }
+
+    /// Width of a matched line on the canvas.
     fn stroke(&self) -> f64 {
-        0.9 * self.dot as f64
+        1.1 * self.dot as f64
     }
 }
 
@@ -157,7 +168,7 @@ struct ColourScale {
 }
 
 impl ColourScale {
-    /// The length-weighted 2.5 to 97.5 percent of depth; a unit range without curves.
+    /// The length-weighted 2.5 to 97.5 percent of depth; one pixel wide without curves.
     fn new(reconstruction: &Reconstruction) -> Self {
         let depth = reconstruction.measures.depth.as_ref();
         let (low, high) = depth.map_or((0.0, 0.0), |depth| (depth.low, depth.high));
@@ -171,24 +182,23 @@ impl ColourScale {
     }
 }
 
-/// Grey image, its 0.5 to 99.5 percentiles from dark to light but not to white, which the lines keep for themselves.
-fn draw_image(canvas: &mut Canvas, image: &Array2<f32>, corner: [usize; 2], zoom: Zoom) {
-    let [low, high] = percentiles(image, [0.005, 0.995]);
-    let gain = if high > low { 1.0 / (high - low) } else { 0.0 };
+/// A rectified image, whose intensity is normalised to 0..1, from dark to light grey; white is left for the lines.
+fn draw_image(image: &Array2<f32>, zoom: Zoom) -> Canvas {
     let (rows, columns) = image.dim();
-    let (width, height) = (zoom.size(columns), zoom.size(rows));
-    for row in 0..height {
-        let first = 3 * ((row + corner[1]) * canvas.width + corner[0]);
-        let line = &mut canvas.pixels[first..first + 3 * width];
+    let mut canvas = Canvas::new(zoom.size(columns), zoom.size(rows), VOID);
+    let width = canvas.width;
+    for (row, line) in canvas.pixels.chunks_exact_mut(3 * width).enumerate() {
         for (column, pixel) in line.chunks_exact_mut(3).enumerate() {
             let value = match zoom {
                 Zoom::In(factor) => image[[row / factor, column / factor]],
                 Zoom::Out(factor) => mean(image, [row * factor, column * factor], factor),
             };
-            let grey = (15.0 + 195.0 * ((value - low) * gain).clamp(0.0, 1.0)).round() as u8;
-            pixel.copy_from_slice(&if value.is_finite() { [grey; 3] } else { VOID });
+            if value.is_finite() {
+                pixel.fill((15.0 + 195.0 * value.clamp(0.0, 1.0)).round() as u8);
+            }
         }
     }
+    canvas
 }
 
 /// Mean of a square of pixels; NaN if one of them is.
@@ -200,29 +210,23 @@ fn mean(image: &Array2<f32>, [row, column]: [usize; 2], side: usize) -> f32 {
 }
 
 fn draw_traces(canvas: &mut Canvas, reconstruction: &Reconstruction, view: View, layout: &Layout) {
-    let mut strokes = Strokes::default();
+    let mut strokes = Strokes::new(layout.size);
     for trace in &reconstruction.traces[view.index()].traces {
         let points = trace.points.iter().chain(trace.closed.then(|| &trace.points[0]));
-        let points: Vec<Point2> = points.map(|point| layout.canvas_point(view, &point.position)).collect();
+        let points: Vec<Point2> = points.map(|point| layout.panel_point(&point.position)).collect();
         for pair in points.windows(2) {
-            strokes.piece([pair[0], pair[1]], 0.6 * layout.stroke(), DETECTED);
+            strokes.piece([pair[0], pair[1]], layout.thin_stroke(), DETECTED);
         }
     }
-    strokes.paint(canvas, layout.panel(view), layout.size, 0.75);
+    strokes.paint(canvas, 0.75);
 }
 
-fn draw_curves(
-    canvas: &mut Canvas,
-    reconstruction: &Reconstruction,
-    view: View,
-    layout: &Layout,
-    scale: &ColourScale,
-) {
+fn draw_curves(canvas: &mut Canvas, reconstruction: &Reconstruction, view: View, layout: &Layout, scale: &ColourScale) {
     let place = |point: &CurvePoint| match view {
-        View::Left => layout.canvas_point(view, &point.left_rectified),
+        View::Left => layout.panel_point(&point.left_rectified),
         View::Right => {
             let right = Point2::new(point.left_rectified.x + point.disparity_px, point.left_rectified.y);
-            layout.canvas_point(view, &right)
+            layout.panel_point(&right)
         }
     };
     // Far curves first, so that near ones lie on top.
@@ -232,7 +236,8 @@ fn draw_curves(
     };
     let mut order: Vec<usize> = (0..reconstruction.curves.len()).collect();
     order.sort_by(|a, b| mean_z(b).total_cmp(&mean_z(a)));
-    let mut strokes = Strokes::default();
+    let boxed = || Strokes::new(layout.size);
+    let (mut casing, mut strokes) = (boxed(), boxed());
     let dash = 3.0 * layout.dot as f64;
     for index in order {
         let curve = &reconstruction.curves[index];
@@ -243,12 +248,14 @@ fn draw_curves(
             let doubtful = a.flag != Flag::Ok || b.flag != Flag::Ok;
             // A dash and a gap of the same length where the depth was not measured well.
             if !doubtful || (along / dash) as usize % 2 == 0 {
+                casing.piece(ends, layout.stroke() + layout.dot as f64, CASING);
                 strokes.piece(ends, layout.stroke(), scale.colour(0.5 * (a.position.z + b.position.z)));
             }
             along += (ends[1] - ends[0]).norm();
         }
     }
-    strokes.paint(canvas, layout.panel(view), layout.size, 1.0);
+    casing.paint(canvas, CASING_OPACITY);
+    strokes.paint(canvas, 1.0);
 }
 
 fn draw_title(canvas: &mut Canvas, reconstruction: &Reconstruction, view: View, layout: &Layout) {
@@ -286,36 +293,36 @@ fn draw_colour_bar(canvas: &mut Canvas, reconstruction: &Reconstruction, layout:
     let dot = layout.dot;
     let unit = reconstruction.frame.unit.word();
     let (left, top) = (layout.margin, layout.bar_top());
-    let label = format!("depth z ({unit})");
+    let below = top + layout.bar_height() + 4 * dot;
+    let flipped = if reconstruction.frame.depth_flipped { ", flipped" } else { "" };
+    let label = format!("depth z ({unit}), + away from viewer{flipped}");
     canvas.text([left, top + dot], &label, dot, INK);
-    let far = if reconstruction.frame.depth_flipped { "+ is away from the viewer (sign flipped)" } else { "+ is away from the viewer" };
-    canvas.text([left, top + layout.bar_height() + layout.line() / 2 + 2 * dot], far, dot, INK);
-    let bar_left = left + text_width(far, dot) + 2 * layout.margin;
+    let bar_left = left + text_width(&label, dot) + 2 * layout.margin;
     let bar_width = layout.width.saturating_sub(layout.margin + bar_left);
-    if bar_width < 40 * dot {
-        return;
-    }
-    for column in 0..bar_width {
-        let fraction = column as f64 / (bar_width - 1) as f64;
-        canvas.fill([bar_left + column, top], [1, layout.bar_height()], viridis(fraction), 1.0);
-    }
     let Some(depth) = &reconstruction.measures.depth else {
-        canvas.text([bar_left, top + layout.bar_height() + 4 * dot], "no curves", dot, INK);
+        canvas.text([left, below], "no curves", dot, INK);
         return;
     };
+    let sigma = format!("typical sigma {} {unit}", two_digits(depth.sigma_z));
+    canvas.text([left, below], &sigma, dot, INK);
+    for column in 0..bar_width {
+        let fraction = column as f64 / bar_width as f64;
+        canvas.fill([bar_left + column, top], [1, layout.bar_height()], viridis(fraction), 1.0);
+    }
     let step = tick_step(scale.high - scale.low);
     let mut tick = (scale.low / step).ceil();
     while tick * step <= scale.high + 1e-9 * step {
         let fraction = (tick * step - scale.low) / (scale.high - scale.low);
-        let x = bar_left + (fraction * (bar_width - 1) as f64).round() as usize;
+        let x = bar_left + (fraction * bar_width.saturating_sub(1) as f64).round() as usize;
         canvas.fill([x.saturating_sub(dot / 2), top + layout.bar_height()], [dot, 3 * dot], INK, 1.0);
         let text = number(tick * step);
-        let half = text_width(&text, dot) / 2;
-        let at = x.saturating_sub(half).min(layout.width - 2 * half - 1);
-        canvas.text([at, top + layout.bar_height() + 4 * dot], &text, dot, INK);
+        // A minus sign hangs out to the left, so that the digits stand under their tick.
+        let half = text_width(text.trim_start_matches('-'), dot) / 2;
+        let hang = if text.starts_with('-') { font::ADVANCE * dot } else { 0 };
+        let at = x.saturating_sub(half + hang).min(layout.width.saturating_sub(text_width(&text, dot) + 1));
+        canvas.text([at, below], &text, dot, INK);
         tick += 1.0;
     }
-    let _ = depth;
 }
 
 const DETECTED_TEXT: &str = "detected line";
@@ -330,28 +337,30 @@ fn legend_width(dot: usize) -> usize {
     texts.iter().map(|text| text_width(text, dot) + (SAMPLE_DOTS + 20) * dot).sum()
 }
 
-fn draw_legend(canvas: &mut Canvas, _reconstruction: &Reconstruction, layout: &Layout) {
+fn draw_legend(canvas: &mut Canvas, layout: &Layout) {
     let dot = layout.dot;
     let top = layout.legend_top();
     let mut left = layout.margin;
+    let [width, height] = [SAMPLE_DOTS * dot, 9 * dot];
     for (index, text) in [DETECTED_TEXT, MATCHED_TEXT, DOUBTFUL_TEXT].into_iter().enumerate() {
-        let sample = [SAMPLE_DOTS * dot, 9 * dot];
-        canvas.fill([left, top], sample, [110, 110, 110], 1.0);
-        let y = (top + sample[1] / 2) as f64;
+        let mut sample = Canvas::new(width, height, [120; 3]);
+        let (mut casing, mut strokes) = (Strokes::new([width, height]), Strokes::new([width, height]));
         let pieces = 48;
-        let mut strokes = Strokes::default();
         for piece in 0..pieces {
-            let at = |step: usize| Point2::new(left as f64 + sample[0] as f64 * step as f64 / pieces as f64, y);
+            let at = |step: usize| Point2::new((width * step) as f64 / pieces as f64, 0.5 * (height - 1) as f64);
             let ends = [at(piece), at(piece + 1)];
-            match index {
-                0 => strokes.piece(ends, 0.6 * layout.stroke(), DETECTED),
-                2 if (piece / 6) % 2 == 1 => {}
-                _ => strokes.piece(ends, layout.stroke(), viridis(piece as f64 / pieces as f64)),
+            if index == 0 {
+                strokes.piece(ends, layout.thin_stroke(), DETECTED);
+            } else if index == 1 || (piece / 6) % 2 == 0 {
+                casing.piece(ends, layout.stroke() + dot as f64, CASING);
+                strokes.piece(ends, layout.stroke(), viridis(piece as f64 / pieces as f64));
             }
         }
-        strokes.paint(canvas, [left, top], sample, 1.0);
-        canvas.text([left + sample[0] + 4 * dot, top + dot], text, dot, INK);
-        left += sample[0] + text_width(text, dot) + 20 * dot;
+        casing.paint(&mut sample, CASING_OPACITY);
+        strokes.paint(&mut sample, 1.0);
+        canvas.paste([left, top], &sample);
+        canvas.text([left + width + 4 * dot, top + dot], text, dot, INK);
+        left += width + text_width(text, dot) + 20 * dot;
     }
 }
 
@@ -365,6 +374,12 @@ fn round_down(value: f64) -> f64 {
 /// A round distance between ticks that puts three to eight of them on a range.
 fn tick_step(range: f64) -> f64 {
     round_down(range / 3.0)
+}
+
+/// A positive value with two digits that count.
+fn two_digits(value: f64) -> String {
+    let decimals = if value > 0.0 { (1.0 - value.log10().floor()).clamp(0.0, 9.0) as usize } else { 1 };
+    format!("{value:.decimals$}")
 }
 
 /// A round number as short as it can be; a minus sign stays with its number.
