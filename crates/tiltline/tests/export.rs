@@ -76,7 +76,8 @@ fn result(matched: Vec<MatchedCurve>, pixel_size_nm: Option<f64>) -> Reconstruct
     } else {
         vec![UnmatchedLine { view: View::Right, points_input: vec![Point2::new(1.0, 2.25), Point2::new(1.5, 3.0)] }]
     };
-    let traces = [TraceGraph::default(), TraceGraph::default()];
+    let junctions = vec![Point2::new(10.0, 10.0); 4];
+    let traces = [TraceGraph { traces: Vec::new(), junctions }, TraceGraph::default()];
     let lines = [lines.clone(), lines];
     Reconstruction { pair, rectified, lines, traces, matched, curves, unmatched, frame, measures, warnings }
 }
@@ -164,6 +165,12 @@ fn a_junction_joins_ends_that_agree_in_depth() {
     let graph = CurveGraph::new(&result(y_and_loop(), None));
     let joined: Vec<bool> = graph.junctions[0].ends.iter().map(|end| end.joined).collect();
     assert_eq!(joined, [true, true, true, false]);
+    // (10, 10) in the left image; x in the mid view is half a disparity further, and 2 cos(phi / 2) is nearly 2.
+    let position = graph.junctions[0].position;
+    let mean_disparity = (0.3 + 0.3 + 0.35) / 3.0;
+    let cos = 4.0_f64.to_radians().cos();
+    assert_relative_eq!(position.x, (10.0 - 15.5 + 0.5 * mean_disparity) / cos, epsilon = 1e-9);
+    assert_relative_eq!(position.y, 10.0 - 11.5, epsilon = 1e-9);
     let points: usize = y_and_loop().iter().map(|curve| curve.points.len()).sum();
     // Two of the three ends are the junction, one is linked to it.
     assert_eq!(graph.nodes.len(), points - 2 + 1);
