@@ -2,6 +2,8 @@
 
 use miette::{IntoDiagnostic, Result, WrapErr, miette};
 
+use tiltline::io::FileInfo;
+
 use crate::args::Info;
 
 /// Describes each file; a file that cannot be read does not keep the others from being described.
@@ -11,7 +13,7 @@ pub fn run(flags: &Info) -> Result<()> {
     for file in &flags.files {
         match tiltline::io::info(file).into_diagnostic().wrap_err_with(|| format!("cannot read {file}")) {
             Ok(info) if flags.json => described.push(info),
-            Ok(info) => println!("{info}"),
+            Ok(info) => print!("{}", table(&info)),
             Err(error) => {
                 failures += 1;
                 eprintln!("{error:?}");
@@ -25,4 +27,41 @@ pub fn run(flags: &Info) -> Result<()> {
         return Err(miette!("{failures} of {} files could not be read", flags.files.len()));
     }
     Ok(())
+}
+
+/// A file's description as lines of `name value`.
+fn table(info: &FileInfo) -> String {
+    let mut text = format!("{}\n", info.path);
+    let mut row = |name: &str, value: String| text.push_str(&format!("  {name:<12} {value}\n"));
+    let from = |source: &Option<String>| source.as_ref().map_or(String::new(), |source| format!(" ({source})"));
+    row("format", format!("{}, {}, {}", info.format, info.sample_type, info.byte_order));
+    row("size", format!("{} x {} px, {} page{}", info.columns, info.rows, info.pages, plural(info.pages)));
+    let size = info.pixel_size_nm.map(|nm| format!("{nm} nm"));
+    row("pixel size", size.map_or("unknown".into(), |size| size + &from(&info.pixel_size_from)));
+    let tilts = info.tilts_deg.as_deref().map(describe_tilts);
+    row("tilts", tilts.map_or("unknown".into(), |tilts| tilts + &from(&info.tilts_from)));
+    if let Some(range) = &info.intensities {
+        let pages = if range.pages_measured == 1 && info.pages > 1 {
+            format!(" (page {})", range.first_page)
+        } else {
+            String::new()
+        };
+        row("intensity", format!("{} to {}, mean {:.4}{pages}", range.min, range.max, range.mean));
+    }
+    for warning in &info.warnings {
+        row("warning", warning.clone());
+    }
+    text
+}
+
+fn describe_tilts(tilts: &[f64]) -> String {
+    match tilts {
+        [] => "none".into(),
+        [one] => format!("{one} degrees"),
+        [first, .., last] => format!("{} from {first} to {last} degrees", tilts.len()),
+    }
+}
+
+fn plural(count: usize) -> &'static str {
+    if count == 1 { "" } else { "s" }
 }

@@ -29,16 +29,6 @@ pub fn run(venv: &Venv) -> Result<()> {
         let result = truth(size, curves, pixel_size_nm);
         let folder = venv.work.join("formats").join(name);
         std::fs::create_dir_all(&folder).into_diagnostic()?;
-        for (n, w) in export::WRITERS {
-            let t = std::time::Instant::now();
-            let mut v = std::io::Cursor::new(Vec::new());
-            w(&result, &mut v).into_diagnostic()?;
-            let t1 = t.elapsed().as_secs_f64();
-            let f = std::fs::File::create("/tmp/export/x").into_diagnostic()?;
-            std::io::Write::write_all(&mut &f, v.get_ref()).into_diagnostic()?;
-            f.sync_all().into_diagnostic()?;
-            println!("TMP {n} {t1:.3} sync {:.3}", t.elapsed().as_secs_f64() - t1);
-        }
         let start = std::time::Instant::now();
         export::write_all(&result, &[], &folder, true).into_diagnostic()?;
         let seconds = start.elapsed().as_secs_f64();

@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 
 use crate::curve::{Curve3, TraceEnd};
-use crate::geometry::{Point3, Vector3};
+use crate::geometry::{Point2, Point3, Vector2};
 use crate::reconstruction::Reconstruction;
 
 /// Ends whose depths differ by more than this many standard deviations do not meet.
@@ -53,7 +53,10 @@ pub struct JunctionEnd {
 pub struct Junction {
     /// Index in the left [`crate::curve::TraceGraph::junctions`].
     pub trace_junction: usize,
-    /// The mean of the ends that are joined, weighted by 1/sigma_z^2.
+    /// Where it is in the rectified left image.
+    pub left_rectified: Point2,
+    /// Where it is in the foil: above its place in the left image, at the mean depth of the ends that are joined, weighted
+    /// by 1/sigma^2.
     pub position: Point3,
     /// One sigma of its depth.
     pub sigma_z: f64,
@@ -76,7 +79,7 @@ impl CurveGraph {
     /// The network of a result.
     pub fn new(reconstruction: &Reconstruction) -> Self {
         let curves = &reconstruction.curves;
-        let junctions = junctions(curves);
+        let junctions = junctions(reconstruction);
         let mut graph = Self::default();
         // Node of a curve's end if it is merged into a junction, else nothing.
         let mut merged = BTreeMap::<(usize, usize), usize>::new();
@@ -88,7 +91,7 @@ impl CurveGraph {
             }
             for end in joined {
                 let point = end_point(&curves[end.curve], end.end);
-                let distance = (point.position.xy() - junction.position.xy()).norm() / reconstruction.frame.pixel;
+                let distance = (point.left_rectified - junction.left_rectified).norm();
                 // The first and last point of a short curve may not both become one node.
                 if distance <= MERGE_PX && curves[end.curve].points.len() > 2 {
                     merged.insert((end.curve, end.end), index);
@@ -169,20 +172,21 @@ fn end_point(curve: &Curve3, end: usize) -> &crate::curve::CurvePoint {
     &curve.points[if end == 0 { 0 } else { curve.points.len() - 1 }]
 }
 
-fn junctions(curves: &[Curve3]) -> Vec<Junction> {
+fn junctions(reconstruction: &Reconstruction) -> Vec<Junction> {
     let mut at = BTreeMap::<usize, Vec<(usize, usize)>>::new();
-    for (curve_index, curve) in curves.iter().enumerate().filter(|(_, curve)| !curve.closed) {
+    for (curve_index, curve) in reconstruction.curves.iter().enumerate().filter(|(_, curve)| !curve.closed) {
         for (end, traced) in curve.ends.iter().enumerate() {
             if let TraceEnd::Junction(junction) = traced {
                 at.entry(*junction).or_default().push((curve_index, end));
             }
         }
     }
-    at.into_iter().map(|(trace_junction, ends)| junction(curves, trace_junction, &ends)).collect()
+    at.into_iter().map(|(trace_junction, ends)| junction(reconstruction, trace_junction, &ends)).collect()
 }
 
-/// The ends that agree with the depth of the most certain half, and their mean.
-fn junction(curves: &[Curve3], trace_junction: usize, ends: &[(usize, usize)]) -> Junction {
+/// The ends whose depths agree with most others', and their mean.
+fn junction(reconstruction: &Reconstruction, trace_junction: usize, ends: &[(usize, usize)]) -> Junction {
+    let (curves, frame) = (&reconstruction.curves, &reconstruction.frame);
     let depth = |&(curve, end): &(usize, usize)| {
         let point = end_point(&curves[curve], end);
         (point.position.z, point.sigma_z.max(1e-9))
@@ -201,12 +205,23 @@ fn junction(curves: &[Curve3], trace_junction: usize, ends: &[(usize, usize)]) -
     }
     let ends: Vec<JunctionEnd> =
         ends.iter().map(|key| JunctionEnd { curve: key.0, end: key.1, joined: agree(&ends[leader.0], key) }).collect();
-    let (mut sum, mut weights) = (Vector3::zeros(), 0.0);
+    let (mut disparity, mut z, mut left, mut weights) = (0.0, 0.0, Vector2::zeros(), 0.0);
     for end in ends.iter().filter(|end| end.joined) {
         let point = end_point(&curves[end.curve], end.end);
-        let weight = 1.0 / point.sigma_z.max(1e-9).powi(2);
-        sum += point.position.coords * weight;
+        let weight = point.sigma_z.max(1e-9).powi(-2);
+        disparity += weight * point.disparity_px;
+        z += weight * point.position.z;
+        left += point.left_rectified.coords * weight;
         weights += weight;
     }
-    Junction { trace_junction, position: Point3::from(sum / weights), sigma_z: (1.0 / weights).sqrt(), ends }
+    let traced = reconstruction.traces[0].junctions.get(trace_junction);
+    let left_rectified = traced.copied().unwrap_or(Point2::from(left / weights));
+    let sin_half_phi = (0.5 / frame.depth_gain).clamp(-1.0, 1.0);
+    let x_gain = 0.5 / (1.0 - sin_half_phi * sin_half_phi).sqrt();
+    let position = Point3::new(
+        (2.0 * (left_rectified.x - frame.centre_px[0]) + disparity / weights) * x_gain * frame.pixel,
+        (left_rectified.y - frame.centre_px[1]) * frame.pixel,
+        z / weights,
+    );
+    Junction { trace_junction, left_rectified, position, sigma_z: (1.0 / weights).sqrt(), ends }
 }

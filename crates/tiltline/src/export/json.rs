@@ -20,6 +20,8 @@ use crate::reconstruction::{LengthUnit, Reconstruction};
 const FORMAT_VERSION: u32 = 1;
 /// Digits of what was measured; none is known better.
 const MEASURE_DIGITS: usize = 6;
+/// Smaller values are rounding errors of a zero.
+const NOUGHT: f64 = 1e-12;
 /// Digits of maps and scales, which take part in further arithmetic.
 const GEOMETRY_DIGITS: usize = 12;
 
@@ -96,7 +98,7 @@ fn list<T: Serialize>(out: &mut (impl Write + ?Sized), name: &str, items: impl I
 fn significant(value: Value, digits: usize) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => {
-            let value = number.as_f64().unwrap_or(f64::NAN);
+            let value = number.as_f64().filter(|value| value.abs() > NOUGHT).unwrap_or(0.0);
             let text = format!("{value:.*e}", digits - 1);
             text.parse().map_or(Value::Null, |rounded: f64| (rounded + 0.0).into())
         }

@@ -51,7 +51,12 @@ pub fn write(reconstruction: &Reconstruction, out: &mut (impl Write + ?Sized)) -
     array(out, "Int32", "curve", ids)?;
     writeln!(out, "</PointData>\n<CellData>")?;
     array(out, "Int32", "curve", 0..curves.len())?;
-    array(out, "Float64", &format!("length_{unit}"), curves.iter().map(|curve| length(curve.length())))?;
+    let measured = &reconstruction.measures.per_curve;
+    let lengths = curves.iter().enumerate().map(|(index, curve)| {
+        // The smoothed length; that of the polyline grows with its noise.
+        length(measured.get(index).map_or_else(|| curve.length(), |measures| measures.length))
+    });
+    array(out, "Float64", &format!("length_{unit}"), lengths)?;
     array(out, "UInt8", "closed", curves.iter().map(|curve| u8::from(curve.closed)))?;
     writeln!(out, "</CellData>\n<Points>")?;
     let xyz = points().map(|point| {

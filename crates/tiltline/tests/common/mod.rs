@@ -1,3 +1,4 @@
+<<<<<<< HEAD
 //! Truth for rendered pairs and the two simplest scores of a result against it.
 #![allow(dead_code)]
 
@@ -114,4 +115,28 @@ fn disparity_error(point: &CurvePoint, left_curve: &[Point2], right_curve: &[Poi
         }
     }
     best.map(|(_, error)| error)
+=======
+//! The one helper for golden files.
+
+use std::path::Path;
+
+/// Compares content with `tests/golden/NAME`; `UPDATE_GOLDEN=1` rewrites the file instead.
+pub fn assert_golden(name: &str, content: &[u8]) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    if std::env::var_os("UPDATE_GOLDEN").is_some() {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, content).unwrap();
+        return;
+    }
+    let golden =
+        std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}; UPDATE_GOLDEN=1 makes it", path.display()));
+    if golden == content {
+        return;
+    }
+    let (golden, content) = (String::from_utf8_lossy(&golden), String::from_utf8_lossy(content));
+    for (number, (old, new)) in golden.lines().zip(content.lines()).enumerate() {
+        assert_eq!(old, new, "{name}, line {}; UPDATE_GOLDEN=1 rewrites it", number + 1);
+    }
+    panic!("{name} has {} lines, not {}; UPDATE_GOLDEN=1 rewrites it", content.lines().count(), golden.lines().count());
+>>>>>>> export
 }
