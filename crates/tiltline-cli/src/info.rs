@@ -34,7 +34,7 @@ fn table(info: &FileInfo) -> String {
     let mut text = format!("{}\n", info.path);
     let mut row = |name: &str, value: String| text.push_str(&format!("  {name:<12} {value}\n"));
     let from = |source: &Option<String>| source.as_ref().map_or(String::new(), |source| format!(" ({source})"));
-    row("format", format!("{}, {}, {}", info.format, info.sample_type, info.byte_order));
+    row("format", format!("{}, {}, {}", info.format.name(), info.sample_type.name(), info.byte_order.name()));
     row("size", format!("{} x {} px, {} page{}", info.columns, info.rows, info.pages, plural(info.pages)));
     let size = info.pixel_size_nm.map(|nm| format!("{nm} nm"));
     row("pixel size", size.map_or("unknown".into(), |size| size + &from(&info.pixel_size_from)));

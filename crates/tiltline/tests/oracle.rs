@@ -3,7 +3,7 @@
 mod common;
 
 use approx::assert_abs_diff_eq;
-use common::rendered_pair;
+use common::truth::{RenderedPair, rendered_pair};
 use ndarray::Array2;
 use tiltline::geometry::{Point3, TiltPair};
 use tiltline::oracle::Oracle;
@@ -15,7 +15,7 @@ use tiltline::simulate::{SceneSettings, ViewSettings};
 
 /// Every stage but rectification, on truth: known curves projected at two tilts, also with the axis turned, the right
 /// view shifted, turned and magnified.
-fn run(tilts_deg: [f64; 2], axis_deg: f64, pixel_size_nm: Option<f64>) -> (common::RenderedPair, Reconstruction) {
+fn run(tilts_deg: [f64; 2], axis_deg: f64, pixel_size_nm: Option<f64>) -> (RenderedPair, Reconstruction) {
     let scene = SceneSettings { curves: 5, specks: 0, seed: 3, ..SceneSettings::default() };
     let base = ViewSettings { axis_rad: axis_deg.to_radians(), noise: 0.0, ..ViewSettings::default() };
     let mut truth = rendered_pair(&scene, tilts_deg, &base, |right| {

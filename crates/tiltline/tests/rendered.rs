@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{agreement, rendered_pair};
+use common::truth::{agreement, rendered_pair};
 use tiltline::matching::ClassicalMatcher;
 use tiltline::pipeline::reconstruct;
 use tiltline::ridge::RidgeDetector;

@@ -81,7 +81,34 @@ pub enum SampleType {
     Float64,
 }
 
+impl ByteOrder {
+    /// The order in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            ByteOrder::Little => "little-endian",
+            ByteOrder::Big => "big-endian",
+        }
+    }
+}
+
 impl SampleType {
+    /// The type in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            SampleType::Uint8 => "8-bit unsigned",
+            SampleType::Int8 => "8-bit signed",
+            SampleType::Uint16 => "16-bit unsigned",
+            SampleType::Int16 => "16-bit signed",
+            SampleType::Uint32 => "32-bit unsigned",
+            SampleType::Int32 => "32-bit signed",
+            SampleType::Uint64 => "64-bit unsigned",
+            SampleType::Int64 => "64-bit signed",
+            SampleType::Float16 => "16-bit float",
+            SampleType::Float32 => "32-bit float",
+            SampleType::Float64 => "64-bit float",
+        }
+    }
+
     /// Bytes of a sample.
     pub fn bytes(self) -> u64 {
         match self {
