@@ -67,7 +67,7 @@ pub fn run(venv: &Venv) -> Result<()> {
             times[ROUNDS / 2]
         });
         let features = images.each_ref().map(|image| sift(image, &settings));
-        let matches = match_features(&features[0], &features[1]);
+        let matches = match_features(&features[0], &features[1]).distinct;
         let correct =
             matches.iter().filter(|pair| (right_from_left * pair.left - pair.right).norm() < REACH_PX).count();
         let repeated = repeatability(&features, &right_from_left, case.size);

@@ -12,9 +12,13 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, Matrix4x3, SymmetricEigen, Vector4};
 use super::point_matching::PointMatch;
 use crate::geometry::{Point2, Similarity2, Vector2};
 
-/// Share of the prior that allows any axis: a user may give the axis of another microscope. It lets clear data win over
-/// a wrong axis, and is too small to be felt otherwise.
-const PRIOR_DOUBT: f64 = 0.01;
+/// Beyond so many sigmas the prior falls off exponentially, not like a Gaussian: a user may give the axis of another
+/// microscope, and then clear points must be able to win without being dragged along.
+const PRIOR_CORE: f64 = 3.0;
+/// Neighbouring features overlap and err together: so many of them count as one.
+const CROWDING: f64 = 1.5;
+/// Errors of points differ by direction (they slide along lines) by about this share of their variance.
+const ANISOTROPY: f64 = 0.5;
 
 /// Two images whose epipolar lines are made rows. All lengths are in left px.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -148,9 +152,8 @@ pub struct AxisPrior {
 
 impl AxisPrior {
     fn negative_log(&self, axis_rad: f64) -> f64 {
-        let offset = wrapped(axis_rad - self.axis_rad, PI) / self.sigma_rad;
-        let bell = (-0.5 * offset * offset).exp() / (self.sigma_rad * (2.0 * PI).sqrt());
-        -((1.0 - PRIOR_DOUBT) * bell + PRIOR_DOUBT / PI).ln()
+        let offset = (wrapped(axis_rad - self.axis_rad, PI) / self.sigma_rad).abs();
+        if offset < PRIOR_CORE { 0.5 * offset * offset } else { PRIOR_CORE * (offset - 0.5 * PRIOR_CORE) }
     }
 }
 
@@ -174,10 +177,11 @@ pub struct Posterior {
 /// Fits the geometry to points with a prior on the axis.
 ///
 /// For each axis the best remaining parameters leave a mean squared residual `r(axis)`; its excess over the overall
-/// minimum is the points' log likelihood `-N (r - r_min) / (2 noise^2)`. That is the likelihood for known point places;
-/// they are measured themselves, which for nearly coplanar points makes the minimum look sharper than it is. First-order
-/// perturbation of eigenvectors gives the variance `l3 l4 / (N (l3 - l4)^2)` instead of `l4 / (N (l3 - l4))`, so the
-/// likelihood is tempered by `(l3 - l4) / l3`: it fades out by itself as the points approach one plane.
+/// minimum would be the points' log likelihood, `-N (r - r_min) / (2 l4)`, for known point places with equal errors. Its
+/// width is `l4 / (N (l3 - l4))`, l3 and l4 being the smallest eigenvalues of the covariance. But the places are measured
+/// themselves: first-order perturbation of eigenvectors gives `l3 l4 / (N (l3 - l4)^2)`. And errors that differ by
+/// direction turn the eigenvector by about `ANISOTROPY l4 / (l3 - l4)`, however many points there are. The likelihood is
+/// widened to the sum of both: it fades out by itself as the points approach one plane.
 pub fn fit_with_prior(moments: &Moments, prior: &AxisPrior) -> Option<Posterior> {
     if moments.count < 5 {
         return None;
@@ -187,8 +191,12 @@ pub fn fit_with_prior(moments: &Moments, prior: &AxisPrior) -> Option<Posterior>
     let count = moments.count as f64;
     // Four parameters are fitted. Points of exact computed pairs have no noise: the floor keeps sigmas finite.
     let noise2 = (fourth * count / (count - 4.0)).max(1e-12);
-    let temper = ((third - fourth) / third.max(1e-300)).clamp(0.0, 1.0);
-    let gain = 0.5 * temper * count / (noise2 * CROWDING);
+    let excess = third - fourth;
+    let random2 = CROWDING * third * fourth / (count * excess * excess);
+    let bias2 = (ANISOTROPY * fourth / excess).powi(2);
+    // Turning the axis by t raises r by about excess * t^2.
+    let wide = 0.5 / ((random2 + bias2) * excess);
+    let gain = if excess > 0.0 && wide.is_finite() { wide } else { 0.0 };
     let data = |axis: f64| gain * (moments.given_axis(axis).1 - fourth);
     let both = |axis: f64| data(axis) + prior.negative_log(axis);
 
@@ -211,9 +219,6 @@ pub fn fit_with_prior(moments: &Moments, prior: &AxisPrior) -> Option<Posterior>
         eigenvalue_ratio: third / fourth.max(1e-12),
     })
 }
-
-/// Neighbouring features overlap and err together: so many of them count as one.
-const CROWDING: f64 = 1.5;
 
 /// One sigma of a peak at `centre`: half the width at which the negative log has risen by 1/2; at most a quarter turn.
 fn half_width(negative_log: &impl Fn(f64) -> f64, centre: f64) -> f64 {

@@ -6,7 +6,7 @@ use super::epipolar::{AxisPrior, systematic_row_error_px, wrapped};
 use super::paper_model::fit_paper;
 use super::ransac::{consensus, median};
 use super::resample::{LARGEST_GROWTH, common_grid};
-use super::{Model, PointMatch, Rectification, RectifyError, RectifySettings, SMALLEST_INLIERS};
+use super::{Model, PointMatch, PointMatches, Rectification, RectifyError, RectifySettings, SMALLEST_INLIERS};
 use crate::geometry::{Point2, Similarity2, Vector2};
 use crate::progress::Stage;
 use crate::warning::Warning;
@@ -22,6 +22,7 @@ const PAPER_REACH_SHARE: f64 = 1.0 / 24.0;
 struct Geometry {
     maps: [Similarity2; 2],
     inliers: Vec<PointMatch>,
+    matches: usize,
     sigma_row_px: Option<f64>,
     axis_rad: f64,
     axis_sigma_rad: f64,
@@ -37,7 +38,7 @@ struct Geometry {
 /// `tilt_axis_rad` is the given axis, radians clockwise on the screen from image y. The median disparity of the inliers
 /// becomes zero. The same seed gives the same result.
 pub fn estimate(
-    matches: &[PointMatch],
+    matches: &PointMatches,
     shapes: [[usize; 2]; 2],
     tilt_axis_rad: f64,
     settings: &RectifySettings,
@@ -66,7 +67,7 @@ pub fn estimate(
         rectified_from_right: shift * right,
         shape: grid.shape,
         inliers: geometry.inliers.len(),
-        matches: matches.len(),
+        matches: geometry.matches,
         rms_row_error_px,
         sigma_row_px: geometry.sigma_row_px.unwrap_or(rms_row_error_px),
         axis_deg: geometry.axis_rad.to_degrees(),
@@ -110,14 +111,14 @@ fn by_chance(rectification: &Rectification, shape: [usize; 2]) -> f64 {
 }
 
 fn affine(
-    matches: &[PointMatch],
+    matches: &PointMatches,
     shapes: [[usize; 2]; 2],
     tilt_axis_rad: f64,
     settings: &RectifySettings,
     seed: u64,
     warn: &mut impl FnMut(String),
 ) -> Result<Geometry, RectifyError> {
-    let few = |inliers| RectifyError::TooFewMatches { matches: matches.len(), inliers };
+    let few = |inliers| RectifyError::TooFewMatches { matches: matches.distinct.len(), inliers };
     let diagonal_px = shapes.iter().map(|[height, width]| (*height as f64).hypot(*width as f64)).fold(0.0, f64::max);
     // A sigma of zero would be certainty; a ten-thousandth of a degree is as good.
     let sigma_rad = settings.axis_prior_sigma_deg.max(1e-4).to_radians();
@@ -157,7 +158,7 @@ fn affine(
     }
     Ok(Geometry {
         maps: [epipolar.rectified_from_left(), epipolar.rectified_from_right()],
-        sigma_row_px: Some(systematic_row_error_px(posterior, &found.inliers, spread, shapes[0])),
+        sigma_row_px: Some(systematic_row_error_px(posterior, &found.fitted, spread, shapes[0])),
         axis_rad: epipolar.axis_left_rad,
         axis_sigma_rad: posterior.axis_sigma_rad,
         held_by_prior,
@@ -166,21 +167,22 @@ fn affine(
         relative_scale: epipolar.scale,
         right_from_left: found.right_from_left,
         inliers: found.inliers,
+        matches: found.matches,
     })
 }
 
 fn paper(
-    matches: &[PointMatch],
+    matches: &PointMatches,
     shape: [usize; 2],
     seed: u64,
     warn: &mut impl FnMut(String),
 ) -> Result<Geometry, RectifyError> {
     let [height, width] = shape.map(|side| side as f64);
     let centre = Point2::new(0.5 * (width - 1.0), 0.5 * (height - 1.0));
-    let fit = fit_paper(matches, centre, PAPER_REACH_SHARE * width.hypot(height), seed);
+    let fit = fit_paper(&matches.distinct, centre, PAPER_REACH_SHARE * width.hypot(height), seed);
     let inliers = fit.as_ref().map_or(0, |fit| fit.inliers.len());
     let fit = fit.filter(|fit| fit.inliers.len() >= SMALLEST_INLIERS);
-    let fit = fit.ok_or(RectifyError::TooFewMatches { matches: matches.len(), inliers })?;
+    let fit = fit.ok_or(RectifyError::TooFewMatches { matches: matches.distinct.len(), inliers })?;
     warn(format!(
         "rectified by the paper's model: a shift, then the right image alone turned by {:.2} degrees; scale and the axis's \
          direction in the left image are not corrected (use model = \"affine\" unless you compare)",
@@ -197,5 +199,6 @@ fn paper(
         relative_scale: 1.0,
         right_from_left: fit.rectified_from_right.inverse(),
         inliers: fit.inliers,
+        matches: matches.distinct.len(),
     })
 }

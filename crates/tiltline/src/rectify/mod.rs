@@ -19,7 +19,7 @@ pub mod scale_space;
 pub mod sift;
 
 pub use estimate::estimate;
-pub use point_matching::{PointMatch, match_features};
+pub use point_matching::{PointMatch, PointMatches, match_features};
 pub use sift::{Feature, SiftSettings, sift};
 
 use ndarray::Array2;

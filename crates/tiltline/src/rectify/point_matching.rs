@@ -3,6 +3,8 @@
 //! Only features of like kind are compared: both dark or both bright, and of like size, because the two micrographs of
 //! a pair have about the same magnification. That is two thirds of the work saved, and fewer false matches.
 
+use std::collections::HashSet;
+
 use rayon::prelude::*;
 
 use super::descriptor::LENGTH;
@@ -18,6 +20,13 @@ pub struct PointMatch {
     pub right: Point2,
 }
 
+impl PointMatch {
+    /// Both places as keys: a place is the same only if all its bits are.
+    pub(super) fn places(&self) -> [[u64; 2]; 2] {
+        [self.left, self.right].map(|point| [point.x.to_bits(), point.y.to_bits()])
+    }
+}
+
 /// Nearest descriptor must be this much nearer than the second nearest (Lowe, figure 11).
 pub const RATIO: f32 = 0.8;
 /// Largest ratio of sizes of two features that are compared.
@@ -27,34 +36,36 @@ const QUANTUM: f32 = 1024.0;
 /// Right features that are compared with one left feature before the next: they stay in the first-level cache.
 const BLOCK: usize = 64;
 
+/// Nearest right features that are remembered for each left one.
+const REMEMBERED: usize = 5;
+
 type Quantised = [i16; LENGTH];
 
-/// Best and second best product of descriptors met so far.
+/// The largest products of descriptors met so far, descending, with the index they were met at.
 #[derive(Clone, Copy)]
-struct Best {
-    product: i32,
-    second: i32,
-    index: u32,
-}
+struct Best([(i32, u32); REMEMBERED]);
 
 impl Best {
-    const NONE: Self = Self { product: -1, second: -1, index: u32::MAX };
+    const NONE: Self = Self([(-1, u32::MAX); REMEMBERED]);
 
     fn meet(&mut self, product: i32, index: u32) {
-        if product > self.product {
-            *self = Self { product, second: self.product, index };
-        } else if product > self.second {
-            self.second = product;
+        if product > self.0[REMEMBERED - 1].0 {
+            let place = self.0.iter().position(|&(other, _)| product > other).unwrap_or(REMEMBERED - 1);
+            self.0.copy_within(place..REMEMBERED - 1, place + 1);
+            self.0[place] = (product, index);
         }
     }
 
-    /// The index, if its distance is below [`RATIO`] of the second's. Squared distances are `2 - 2 product`.
+    /// The nearest, if its distance is below [`RATIO`] of the second's. Squared distances are `2 - 2 product`.
     fn distinct(&self) -> Option<usize> {
-        let unit = QUANTUM * QUANTUM;
-        let distance2 = |product: i32| (2.0 - 2.0 * product as f32 / unit).max(0.0);
+        let [(best, index), (second, _), ..] = self.0;
+        let distance2 = |product: i32| (2.0 - 2.0 * product as f32 / (QUANTUM * QUANTUM)).max(0.0);
         // Without a second the best has proved nothing.
-        (self.second >= 0 && distance2(self.product) < RATIO * RATIO * distance2(self.second))
-            .then_some(self.index as usize)
+        (second >= 0 && distance2(best) < RATIO * RATIO * distance2(second)).then_some(index as usize)
+    }
+
+    fn all(&self) -> impl Iterator<Item = (i32, usize)> {
+        self.0.into_iter().filter(|(product, _)| *product >= 0).map(|(product, index)| (product, index as usize))
     }
 }
 
@@ -85,8 +96,8 @@ fn product(a: &Quantised, b: &Quantised) -> i32 {
     a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum()
 }
 
-/// For each of `from`, the distinct nearest of `to`.
-fn nearest(from: &Kind, to: &Kind) -> Vec<Option<usize>> {
+/// For each of `from`, the nearest of `to`.
+fn nearest(from: &Kind, to: &Kind) -> Vec<Best> {
     /// Left features that one thread works on together.
     const GROUP: usize = 16;
     from.descriptors
@@ -105,31 +116,45 @@ fn nearest(from: &Kind, to: &Kind) -> Vec<Option<usize>> {
                     }
                 }
             }
-            best.into_iter().map(|best| best.distinct())
+            best
         })
         .collect()
 }
 
-/// Matches that are the distinct nearest both ways; a place that two features share is given once.
-pub fn match_features(left: &[Feature], right: &[Feature]) -> Vec<PointMatch> {
-    let mut pairs = Vec::new();
+/// What the descriptors say about which left point is which right point.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointMatches {
+    /// Distinct nearest both ways: most are right. No two share both places.
+    pub distinct: Vec<PointMatch>,
+    /// The few nearest right points of every left point, nearest first: most are wrong, but few of those also lie where
+    /// a known geometry wants them.
+    pub possible: Vec<PointMatch>,
+}
+
+/// Matches features by their descriptors.
+pub fn match_features(left: &[Feature], right: &[Feature]) -> PointMatches {
+    let mut distinct = Vec::new();
+    let mut possible = Vec::new();
     for dark in [true, false] {
         let (left, right) = (Kind::new(left, dark), Kind::new(right, dark));
         let (forward, backward) = (nearest(&left, &right), nearest(&right, &left));
-        pairs.extend(forward.iter().enumerate().filter_map(|(i, &j)| {
-            let j = j?;
-            (backward[j] == Some(i)).then_some((left.features[i], right.features[j]))
-        }));
+        for (i, best) in forward.iter().enumerate() {
+            if let Some(j) = best.distinct()
+                && backward[j].distinct() == Some(i)
+            {
+                distinct.push((left.features[i], right.features[j]));
+            }
+            possible.extend(best.all().map(|(product, j)| (-product, left.features[i], right.features[j])));
+        }
     }
     // The strongest first, whatever their kind.
-    pairs.sort_unstable();
+    distinct.sort_unstable();
+    possible.sort_unstable();
     let point = |feature: &Feature| Point2::new(f64::from(feature.x), f64::from(feature.y));
-    let mut seen = std::collections::HashSet::new();
-    pairs
-        .into_iter()
-        .map(|(i, j)| PointMatch { left: point(&left[i]), right: point(&right[j]) })
-        .filter(|pair| seen.insert([pair.left.x, pair.left.y, pair.right.x, pair.right.y].map(f64::to_bits)))
-        .collect()
+    let pair = |i: usize, j: usize| PointMatch { left: point(&left[i]), right: point(&right[j]) };
+    let mut seen = HashSet::new();
+    let distinct = distinct.into_iter().map(|(i, j)| pair(i, j)).filter(|pair| seen.insert(pair.places())).collect();
+    PointMatches { distinct, possible: possible.into_iter().map(|(_, i, j)| pair(i, j)).collect() }
 }
 
 #[cfg(test)]
@@ -148,7 +173,7 @@ mod tests {
         // 10 looks like left 0; two look like left 1, so it is in doubt; left 2's twin is bright.
         let right =
             [(10.0, 0.1, 0), (11.0, 0.1, 1), (12.0, 0.1, 1), (13.0, -0.1, 2)].map(|(x, c, p)| feature(x, c, 2.0, p));
-        let matches = match_features(&left, &right);
+        let matches = match_features(&left, &right).distinct;
         assert_eq!(matches.len(), 1);
         assert_eq!((matches[0].left.x, matches[0].right.x), (0.0, 10.0));
     }
@@ -157,13 +182,13 @@ mod tests {
     fn features_of_unlike_size_are_not_compared() {
         let left = [feature(0.0, 0.1, 2.0, 0)];
         let right = [feature(10.0, 0.1, 8.0, 0), feature(11.0, 0.1, 2.1, 3), feature(12.0, 0.1, 1.9, 4)];
-        assert_eq!(match_features(&left, &right), []);
+        assert_eq!(match_features(&left, &right).distinct, []);
     }
 
     #[test]
     fn two_features_of_one_place_give_one_match() {
         let left = [feature(0.0, 0.1, 2.0, 0), feature(0.0, 0.1, 2.0, 5)];
         let right = [feature(9.0, 0.1, 2.0, 0), feature(9.0, 0.1, 2.0, 5)];
-        assert_eq!(match_features(&left, &right).len(), 1);
+        assert_eq!(match_features(&left, &right).distinct.len(), 1);
     }
 }

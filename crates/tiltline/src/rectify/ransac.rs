@@ -5,13 +5,15 @@
 //! huge disparities, would decide the axis. A foil is thin: its disparities lie in a band about a plane. So matches must
 //! also agree roughly with a common similarity, and in the end with the other inliers' disparities.
 
+use std::collections::HashSet;
+
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use nalgebra::{Matrix3, Vector3, Vector4};
 
 use super::epipolar::{AxisPrior, Epipolar, Moments, Posterior, fit_similarity, fit_with_prior, wrapped};
-use super::point_matching::PointMatch;
+use super::point_matching::{PointMatch, PointMatches};
 use crate::geometry::Similarity2;
 
 /// Largest distance from the common similarity, as a share of the image's diagonal: generous for tilted, thick foils.
@@ -29,6 +31,10 @@ const SANE_SCALE: f64 = 1.2;
 pub struct Consensus {
     /// Matches that agree.
     pub inliers: Vec<PointMatch>,
+    /// Those of them that the fit rests on: the others' disparities stand out from the common plane.
+    pub fitted: Vec<PointMatch>,
+    /// Distinct matches, and those that the geometry found among the possible ones.
+    pub matches: usize,
     /// The fit to them.
     pub posterior: Posterior,
     /// The similarity that takes left points to right ones, least squares over the inliers.
@@ -38,15 +44,30 @@ pub struct Consensus {
 /// Finds the geometry that most matches share; `Err` holds how many agreed where that is too few to fit.
 ///
 /// `diagonal_px` is the diagonal of the larger image.
-pub fn consensus(matches: &[PointMatch], diagonal_px: f64, prior: &AxisPrior, seed: u64) -> Result<Consensus, usize> {
+pub fn consensus(matches: &PointMatches, diagonal_px: f64, prior: &AxisPrior, seed: u64) -> Result<Consensus, usize> {
     let mut rng = Pcg64::seed_from_u64(seed);
     let reach = PARALLAX_SHARE * diagonal_px;
-    let similarity = common_similarity(matches, reach, &mut rng).ok_or(0_usize)?;
-    let near: Vec<PointMatch> =
-        matches.iter().filter(|pair| (similarity * pair.left - pair.right).norm() < reach).copied().collect();
+    let similarity = common_similarity(&matches.distinct, reach, &mut rng).ok_or(0_usize)?;
+    let near = |pairs: &[PointMatch]| -> Vec<PointMatch> {
+        pairs.iter().filter(|pair| (similarity * pair.left - pair.right).norm() < reach).copied().collect()
+    };
+    let mut agreeing = near(&matches.distinct);
     let limit = RESIDUAL_PX * (diagonal_px / 1448.0).max(1.0);
-    let sampled = sample_epipolar(&near, &similarity, limit, prior.axis_rad, &mut rng).ok_or(near.len().min(4))?;
-    refine(&near, sampled, limit, prior)
+    let sampled = sample_epipolar(&agreeing, &similarity, limit, prior.axis_rad, &mut rng);
+    let mut refined = refine(&agreeing, &sampled.ok_or(agreeing.len().min(4))?, limit, prior)?;
+    let possible = near(&matches.possible);
+    let distinct = agreeing.len();
+    for _ in 0..2 {
+        let added = wanted_of(&possible, &agreeing, distinct, &refined, limit);
+        agreeing.truncate(distinct);
+        agreeing.extend(added);
+        refined = refine(&agreeing, &refined.posterior.geometry, limit, prior)?;
+    }
+    let choose = |indices: &[usize]| -> Vec<PointMatch> { indices.iter().map(|&i| agreeing[i]).collect() };
+    let (inliers, fitted) = (choose(&refined.inliers), choose(&refined.fitted));
+    let right_from_left = fit_similarity(fitted.iter().map(|pair| (pair, 1.0))).ok_or(inliers.len())?;
+    let matches = matches.distinct.len() + agreeing.len() - distinct;
+    Ok(Consensus { inliers, fitted, matches, posterior: refined.posterior, right_from_left })
 }
 
 /// Indices of distinct random matches.
@@ -188,60 +209,129 @@ fn sample_epipolar(
     best.map(|(_, geometry)| geometry)
 }
 
-/// Final fit: inliers are chosen by row residual (three sigma, as estimated from them) and by disparity, and the
+/// A geometry and the matches it rests on.
+struct Refined {
+    posterior: Posterior,
+    inliers: Vec<usize>,
+    fitted: Vec<usize>,
+    band: DisparityBand,
+}
+
+/// Final fit: matches are chosen by row residual (three sigma, as estimated from them) and by disparity, and the
 /// geometry is fitted to them with the prior, until the choice stays.
-fn refine(matches: &[PointMatch], start: Epipolar, limit: f64, prior: &AxisPrior) -> Result<Consensus, usize> {
-    let mut geometry = start;
-    let mut chosen: Vec<usize> = Vec::new();
-    let mut posterior = None;
+///
+/// Both limits are three robust sigmas. Were the one along the rows wider, the errors of points in one plane would
+/// scatter further along the rows than across, and look like depth that shows the axis.
+fn refine(matches: &[PointMatch], start: &Epipolar, limit: f64, prior: &AxisPrior) -> Result<Refined, usize> {
+    let mut geometry = *start;
+    let mut refined: Option<Refined> = None;
     for _ in 0..20 {
         let squares = residuals2(&geometry, matches);
         let mut within: Vec<usize> = (0..matches.len()).filter(|&i| squares[i] < limit * limit).collect();
-        let sigma = 1.4826 * median(within.iter().map(|&i| squares[i].sqrt()));
-        // Below a twentieth of a px the limit is exact arithmetic's, not a measurement's.
-        let cut = (3.0 * sigma).clamp(0.05, limit);
+        let cut = row_cut(within.iter().map(|&i| squares[i].sqrt()), limit);
         within.retain(|&i| squares[i] < cut * cut);
-        let next = plausible_disparities(matches, &geometry, within);
-        if next == chosen {
+        let band = DisparityBand::of(matches, &geometry, &within);
+        let choose = |bound: f64| -> Vec<usize> {
+            within.iter().copied().filter(|&i| band.distance(&geometry, &matches[i]) <= bound).collect()
+        };
+        let (fitted, inliers) = (choose(3.0 * band.sigma), choose(band.widest()));
+        let settled = refined.as_ref().is_some_and(|refined| refined.fitted == fitted);
+        let posterior = match refined {
+            Some(refined) if settled => refined.posterior,
+            _ => {
+                let moments = Moments::of(fitted.iter().map(|&i| &matches[i]));
+                fit_with_prior(&moments, prior).ok_or(fitted.len())?
+            }
+        };
+        geometry = posterior.geometry;
+        refined = Some(Refined { posterior, inliers, fitted, band });
+        if settled {
             break;
         }
-        chosen = next;
-        let moments = Moments::of(chosen.iter().map(|&i| &matches[i]));
-        let fitted = fit_with_prior(&moments, prior).ok_or(chosen.len())?;
-        geometry = fitted.geometry;
-        posterior = Some(fitted);
     }
-    let inliers: Vec<PointMatch> = chosen.iter().map(|&i| matches[i]).collect();
-    let right_from_left = fit_similarity(inliers.iter().map(|pair| (pair, 1.0))).ok_or(inliers.len())?;
-    let posterior = posterior.ok_or(inliers.len())?;
-    Ok(Consensus { inliers, posterior, right_from_left })
+    refined.ok_or(0)
 }
 
-/// Drops matches whose disparity is far from the plane through the others': beyond six robust sigmas and 2 px. Uniform
-/// disparities of a thick foil reach 1.3 robust sigmas, so only what is far outside a foil goes.
-fn plausible_disparities(matches: &[PointMatch], geometry: &Epipolar, within: Vec<usize>) -> Vec<usize> {
-    let pairs: Vec<PointMatch> = within.iter().map(|&i| matches[i]).collect();
-    let disparities: Vec<f64> = geometry.differences(&pairs).iter().map(|difference| difference.x).collect();
-    let off = |plane: &Vector3<f64>| -> Vec<f64> {
-        pairs.iter().zip(&disparities).map(|(pair, d)| d - plane.dot(&pair.left.to_homogeneous())).collect()
-    };
-    let mut plane = Vector3::new(0.0, 0.0, median(disparities.iter().copied()));
-    for _ in 0..10 {
-        // Least absolute deviations by reweighting; one px keeps the weights finite.
-        let weights = off(&plane).into_iter().map(|off| 1.0 / (1.0 + off.abs()));
-        let (mut normal, mut target) = (Matrix3::zeros(), Vector3::zeros());
-        for ((pair, d), weight) in pairs.iter().zip(&disparities).zip(weights) {
-            let point = pair.left.to_homogeneous();
-            normal += weight * point * point.transpose();
-            target += weight * *d * point;
+/// Three robust sigmas of the residuals of one coordinate, at most the limit.
+fn row_cut(residuals: impl Iterator<Item = f64>, limit: f64) -> f64 {
+    // Below a twentieth of a px the limit is exact arithmetic's, not a measurement's.
+    (3.0 * 1.4826 * median(residuals)).clamp(0.05, limit)
+}
+
+/// Those of the possible matches that lie where the geometry and the disparities want them, nearest descriptors first,
+/// each place once, and not where one of the first `distinct` matches agrees already.
+fn wanted_of(
+    possible: &[PointMatch],
+    agreeing: &[PointMatch],
+    distinct: usize,
+    refined: &Refined,
+    limit: f64,
+) -> Vec<PointMatch> {
+    let geometry = &refined.posterior.geometry;
+    let residuals = residuals2(geometry, agreeing);
+    let cut = row_cut(refined.inliers.iter().map(|&i| residuals[i].sqrt()), limit);
+    let kept = refined.inliers.iter().filter(|&&i| i < distinct);
+    let (mut left_taken, mut right_taken): (HashSet<_>, HashSet<_>) =
+        kept.map(|&i| agreeing[i].places()).map(|[left, right]| (left, right)).unzip();
+    let bound = refined.band.widest();
+    let mut wanted = Vec::new();
+    for (pair, square) in possible.iter().zip(residuals2(geometry, possible)) {
+        let [left, right] = pair.places();
+        let agrees = square < cut * cut && refined.band.distance(geometry, pair) <= bound;
+        if agrees && !left_taken.contains(&left) && !right_taken.contains(&right) {
+            left_taken.insert(left);
+            right_taken.insert(right);
+            wanted.push(*pair);
         }
-        let Some(solved) = normal.cholesky().map(|factor| factor.solve(&target)) else { break };
-        plane = solved;
     }
-    let off = off(&plane);
-    let centre = median(off.iter().copied());
-    let bound = 2.0 + 6.0 * 1.4826 * median(off.iter().map(|off| (off - centre).abs()));
-    within.into_iter().zip(off).filter(|(_, off)| (off - centre).abs() <= bound).map(|(i, _)| i).collect()
+    wanted
+}
+
+/// The disparities of a foil: scattered about a plane.
+struct DisparityBand {
+    /// Disparity as a function of (x_L, y_L, 1).
+    plane: Vector3<f64>,
+    /// Robust standard deviation about it, px. Uniform disparities of a thick foil reach 1.3 of it.
+    sigma: f64,
+}
+
+impl DisparityBand {
+    fn of(matches: &[PointMatch], geometry: &Epipolar, within: &[usize]) -> Self {
+        let pairs: Vec<PointMatch> = within.iter().map(|&i| matches[i]).collect();
+        let disparities: Vec<f64> = geometry.differences(&pairs).iter().map(|difference| difference.x).collect();
+        let off = |plane: &Vector3<f64>| -> Vec<f64> {
+            pairs.iter().zip(&disparities).map(|(pair, d)| d - plane.dot(&pair.left.to_homogeneous())).collect()
+        };
+        let mut plane = Vector3::new(0.0, 0.0, median(disparities.iter().copied()));
+        for _ in 0..10 {
+            // Least absolute deviations by reweighting; a tenth of a px keeps the weights finite.
+            let weights = off(&plane).into_iter().map(|off| 1.0 / (0.1 + off.abs()));
+            let (mut normal, mut target) = (Matrix3::zeros(), Vector3::zeros());
+            for ((pair, d), weight) in pairs.iter().zip(&disparities).zip(weights) {
+                let point = pair.left.to_homogeneous();
+                normal += weight * point * point.transpose();
+                target += weight * *d * point;
+            }
+            let Some(factor) = normal.cholesky() else { break };
+            plane = factor.solve(&target);
+        }
+        let off = off(&plane);
+        let centre = median(off.iter().copied());
+        plane.z += centre;
+        let sigma = 1.4826 * median(off.iter().map(|off| (off - centre).abs()));
+        Self { plane, sigma: sigma.max(0.02) }
+    }
+
+    /// How far a match's disparity is from the plane.
+    fn distance(&self, geometry: &Epipolar, pair: &PointMatch) -> f64 {
+        let disparity = geometry.differences(std::slice::from_ref(pair))[0].x;
+        (disparity - self.plane.dot(&pair.left.to_homogeneous())).abs()
+    }
+
+    /// Largest distance that a foil may have: generous, for a few lines off a surface that most points lie on.
+    fn widest(&self) -> f64 {
+        2.0 + 4.0 * self.sigma
+    }
 }
 
 /// The middle value; 0 of nothing.
