@@ -35,8 +35,6 @@ pub(super) struct Chain {
     pub strength: Vec<f64>,
     /// Full width at half maximum, px.
     pub width_px: f64,
-    /// Length, px.
-    pub length_px: f64,
 }
 
 /// What chains are judged by.
@@ -192,7 +190,7 @@ impl Judge<'_> {
             })
             .collect::<Vec<_>>()[span.clone()]
             .to_vec();
-        Some(Chain { points: order[span].to_vec(), closed, strength, width_px, length_px })
+        Some(Chain { points: order[span].to_vec(), closed, strength, width_px })
     }
 
     /// By how much the line stands out against its left and its right side (positive for the wanted polarity).
@@ -256,7 +254,7 @@ impl Judge<'_> {
         self.streaks_rad.iter().any(|streak| {
             let off = (along.x * streak.sin() - along.y * streak.cos()).abs().min(1.0).asin();
             // Short pieces have less certain directions: half a px at each end.
-            off < STREAK_TOLERANCE_DEG.to_radians() + 0.7 / chord.norm().max(1.0) && rms < 0.6
+            off < STREAK_TOLERANCE_DEG.to_radians() + 0.7 / chord.norm().max(1.0) && rms < 1.2
         })
     }
 
