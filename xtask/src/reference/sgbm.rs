@@ -30,6 +30,7 @@ const REACH_RAD: f64 = 30.0 * PI / 180.0;
 
 /// A true point of a left line.
 struct Truth {
+    curve: usize,
     left: Point2,
     disparity_px: f64,
     tangent: Vector2,
@@ -88,8 +89,9 @@ pub fn run(venv: &Venv) -> Result<()> {
         npy::write_f32(&folder.join(format!("right-{seed}.npy")), &pair.right)?;
         let points = Array2::from_shape_fn((truth.len(), 2), |(row, column)| truth[row].left[column]);
         npy::write_f64(&folder.join(format!("points-{seed}.npy")), &points)?;
+        let labels = refined.each_ref().map(|curves| labels(curves, &oracle));
         samples.extend(truth.into_iter().map(|truth| {
-            let ours = refined.iter().map(|curves| found(curves, &truth)).collect();
+            let ours = refined.iter().zip(&labels).map(|(curves, labels)| found(curves, labels, &truth)).collect();
             Sample { truth, ours, sgbm: None }
         }));
     }
@@ -102,6 +104,7 @@ pub fn run(venv: &Venv) -> Result<()> {
     }
     println!("traces: known curves with 0.2 px of jitter, gaps and false lines; OpenCV {}", output["version"]);
     report(&samples, &methods);
+    debug(&samples);
     Ok(())
 }
 
@@ -143,6 +146,7 @@ fn true_points(oracle: &Oracle, shape: [usize; 2]) -> Vec<Truth> {
                 others(view, point).any(|pair| angle(&(pair[1] - pair[0]), &tangents[view]) < OVERLAP_RAD)
             };
             points.push(Truth {
+                curve,
                 left: l,
                 disparity_px: r.x - l.x,
                 tangent: tangents[0].normalize(),
@@ -154,10 +158,25 @@ fn true_points(oracle: &Oracle, shape: [usize; 2]) -> Vec<Truth> {
     points
 }
 
+/// The true curve that each matched curve follows in the left image: where two true curves lie over each other, the
+/// nearest at a point may be the wrong one, but not along the whole.
+fn labels(curves: &[MatchedCurve], oracle: &Oracle) -> Vec<usize> {
+    let distance = |curve: &MatchedCurve, truth: &Vec<Point2>| -> f64 {
+        let to = |point: &Point2| truth.iter().map(|other| (other - point).norm()).fold(f64::INFINITY, f64::min);
+        curve.points.iter().map(|point| to(&point.left).min(2.0 * NEAR_PX)).sum()
+    };
+    let label = |curve: &MatchedCurve| {
+        let distances = oracle.curves[0].iter().map(|truth| distance(curve, truth));
+        distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
+    };
+    curves.iter().map(label).collect()
+}
+
 /// The disparity that matched curves give at a true point: on the nearest segment of about its direction.
-fn found(curves: &[MatchedCurve], truth: &Truth) -> Option<Found> {
+fn found(curves: &[MatchedCurve], labels: &[usize], truth: &Truth) -> Option<Found> {
     let mut best: Option<(f64, Found)> = None;
-    for pair in curves.iter().flat_map(|curve| curve.points.windows(2)) {
+    let own = curves.iter().zip(labels).filter(|(_, label)| **label == truth.curve);
+    for pair in own.flat_map(|(curve, _)| curve.points.windows(2)) {
         let along = pair[1].left - pair[0].left;
         let offset = truth.left - pair[0].left;
         if offset.norm() > REACH_PX + along.norm() || angle(&along, &truth.tangent) > REACH_RAD {
@@ -245,4 +264,43 @@ fn summary(mut errors: Vec<f64>) -> (f64, f64, f64) {
     let count = errors.len() as f64;
     let bad = errors.iter().filter(|error| **error > 1.0).count() as f64;
     (errors.iter().sum::<f64>() / count, errors[errors.len() / 2], 100.0 * bad / count)
+}
+
+fn debug(samples: &[Sample]) {
+    for at in [20431usize, 21318] {
+        println!("--");
+        for i in (at - 130..at + 130).step_by(6) {
+            let m = &samples[i];
+            println!(
+                "c{} left ({:.1},{:.1}) psi {:.0} d {:.2} right {:.1} found {:?}",
+                m.truth.curve,
+                m.truth.left.x,
+                m.truth.left.y,
+                angle_to_row(&m.truth.tangent).to_degrees(),
+                m.truth.disparity_px,
+                m.truth.left.x + m.truth.disparity_px,
+                m.ours[0].map(|f| f.disparity_px)
+            );
+        }
+    }
+    let key = |s: &Sample| s.ours[2].is_some_and(|f| (f.disparity_px - s.truth.disparity_px).abs() > 1.0);
+    for run in samples.chunk_by(|a, b| key(a) == key(b) && (a.truth.left - b.truth.left).norm() < 3.0) {
+        if key(&run[0]) {
+            let m = &run[run.len() / 2];
+            let f = m.ours[2].unwrap();
+            println!(
+                "pos {} bad run {:>4} at ({:.0},{:.0}) psi {:.0} d {:.2} found {:.2} sig {:.2} {:?} raw {:?}",
+                samples.iter().position(|s| std::ptr::eq(s, m)).unwrap(),
+                run.len(),
+                m.truth.left.x,
+                m.truth.left.y,
+                angle_to_row(&m.truth.tangent).to_degrees(),
+                m.truth.disparity_px,
+                f.disparity_px,
+                f.sigma_px,
+                f.flag,
+                m.ours[0].map(|f| f.disparity_px)
+            );
+        }
+    }
 }
