@@ -3,10 +3,11 @@
 //! 10 degrees or more off the row.
 
 use std::f64::consts::PI;
+use std::time::Instant;
 
 use miette::{IntoDiagnostic, Result, miette};
 use ndarray::Array2;
-use tiltline::curve::{Flag, MatchedCurve};
+use tiltline::curve::{Flag, MatchedCurve, Trace};
 use tiltline::geometry::{Point2, Vector2, angle_to_row};
 use tiltline::matching::{ClassicalMatcher, TraceFaults, known_traces};
 use tiltline::micrograph::View;
@@ -14,11 +15,15 @@ use tiltline::oracle::Oracle;
 use tiltline::pipeline::{Detect, Match};
 use tiltline::rectify::{Rectification, RectifiedPair};
 use tiltline::refine::{RefineSettings, Refinement, refine};
+use tiltline::ridge::RidgeDetector;
 use tiltline::simulate::{Scene, SceneSettings, ViewSettings, render};
+use tiltline::trace::{TraceSettings, trace};
 
 use crate::npy;
 use crate::venv::Venv;
 
+/// The ways to refine, the default last.
+const METHODS: [Refinement; 3] = [Refinement::None, Refinement::Nearest, Refinement::Curve];
 const SEEDS: u64 = 6;
 /// Another line within this distance makes a crossing (in the left image) or an overlap (in either), px.
 const NEAR_PX: f64 = 6.0;
@@ -46,66 +51,93 @@ struct Found {
     flag: Flag,
 }
 
-struct Sample {
-    truth: Truth,
+/// What both give at a true point.
+struct Sample<'a> {
+    truth: &'a Truth,
+    /// By the methods of [`METHODS`].
     ours: Vec<Option<Found>>,
     sgbm: Option<f64>,
+}
+
+/// What the matcher is fed with.
+#[derive(Clone, Copy, Debug)]
+enum Feed {
+    /// The ridge detector and the tracer.
+    Detected,
+    /// Known curves with jitter, gaps and false lines.
+    Known,
 }
 
 /// Prints the comparison.
 pub fn run(venv: &Venv) -> Result<()> {
     let folder = venv.work.join("sgbm");
     std::fs::create_dir_all(&folder).into_diagnostic()?;
-    let methods = [Refinement::None, Refinement::Nearest, Refinement::Curve];
-    let mut samples: Vec<Sample> = Vec::new();
-    for seed in 0..SEEDS {
-        let (pair, oracle) = rendered(seed);
-        let lines = View::BOTH.map(|view| oracle.detect(&pair, view));
-        let traces = View::BOTH.map(|view| {
+    let pairs: Vec<(RectifiedPair, Oracle)> = (0..SEEDS).map(rendered).collect();
+    let truths: Vec<Vec<Truth>> =
+        pairs.iter().map(|(pair, oracle)| true_points(oracle, pair.rectification.shape)).collect();
+    for (seed, ((pair, _), truth)) in pairs.iter().zip(&truths).enumerate() {
+        npy::write_f32(&folder.join(format!("left-{seed}.npy")), &pair.left)?;
+        npy::write_f32(&folder.join(format!("right-{seed}.npy")), &pair.right)?;
+        let points = Array2::from_shape_fn((truth.len(), 2), |(row, column)| truth[row].left[column]);
+        npy::write_f64(&folder.join(format!("points-{seed}.npy")), &points)?;
+    }
+    let output = venv.run("sgbm.py", &[folder.as_os_str(), SEEDS.to_string().as_ref()])?;
+    let output: serde_json::Value = serde_json::from_str(&output).into_diagnostic()?;
+    let theirs = output["disparity"].as_array().ok_or_else(|| miette!("sgbm.py gave no disparities"))?;
+    println!("{SEEDS} pairs of 512x512 at 8 degrees, signal-to-noise 10; OpenCV {}", output["version"]);
+    for feed in [Feed::Known, Feed::Detected] {
+        println!("-- lines: {feed:?}");
+        let mut samples: Vec<Sample> = Vec::new();
+        for (seed, ((pair, oracle), truth)) in pairs.iter().zip(&truths).enumerate() {
+            let found = ours(feed, seed as u64, pair, oracle, truth);
+            let theirs = theirs[seed].as_array().into_iter().flatten().map(serde_json::Value::as_f64);
+            samples.extend(truth.iter().zip(found).zip(theirs).map(|((truth, ours), sgbm)| Sample {
+                truth,
+                ours,
+                sgbm,
+            }));
+        }
+        report(&samples);
+    }
+    Ok(())
+}
+
+/// What each method of refinement gives at each true point.
+fn ours(feed: Feed, seed: u64, pair: &RectifiedPair, oracle: &Oracle, truth: &[Truth]) -> Vec<Vec<Option<Found>>> {
+    let lines = View::BOTH.map(|view| match feed {
+        Feed::Detected => RidgeDetector::default().detect(pair, view),
+        Feed::Known => oracle.detect(pair, view),
+    });
+    let traces = View::BOTH.map(|view| match feed {
+        Feed::Detected => trace(&lines[view.index()], &TraceSettings::default()),
+        Feed::Known => {
             let faults = TraceFaults {
                 sigma_perp_px: 0.2,
-                correlation_px: 1.5,
+                correlation_px: 1.1,
                 gap_every_px: 300.0,
                 false_lines: 6,
                 seed: 2 * seed + view.index() as u64,
             };
             known_traces(&oracle.curves[view.index()], pair.rectification.shape, &faults).0
-        });
-        let start = std::time::Instant::now();
-        let matched = ClassicalMatcher::default().match_curves(&pair, &lines, &traces);
-        let matching_s = start.elapsed().as_secs_f64();
-        let refined = methods.map(|method| {
-            let settings = RefineSettings { method, ..RefineSettings::default() };
-            refine(matched.clone(), &traces, &pair.rectification, &settings)
-        });
-        println!(
-            "seed {seed}: {} left traces, {} matched curves, matching {matching_s:.3} s, all {:.3} s",
-            traces[0].traces.len(),
-            matched.len(),
-            start.elapsed().as_secs_f64()
-        );
-        let truth = true_points(&oracle, pair.rectification.shape);
-        npy::write_f32(&folder.join(format!("left-{seed}.npy")), &pair.left)?;
-        npy::write_f32(&folder.join(format!("right-{seed}.npy")), &pair.right)?;
-        let points = Array2::from_shape_fn((truth.len(), 2), |(row, column)| truth[row].left[column]);
-        npy::write_f64(&folder.join(format!("points-{seed}.npy")), &points)?;
-        let labels = refined.each_ref().map(|curves| labels(curves, &oracle));
-        samples.extend(truth.into_iter().map(|truth| {
-            let ours = refined.iter().zip(&labels).map(|(curves, labels)| found(curves, labels, &truth)).collect();
-            Sample { truth, ours, sgbm: None }
-        }));
-    }
-    let output = venv.run("sgbm.py", &[folder.as_os_str(), SEEDS.to_string().as_ref()])?;
-    let output: serde_json::Value = serde_json::from_str(&output).into_diagnostic()?;
-    let theirs = output["disparity"].as_array().ok_or_else(|| miette!("sgbm.py gave no disparities"))?;
-    let theirs = theirs.iter().flat_map(|pair| pair.as_array().into_iter().flatten());
-    for (sample, value) in samples.iter_mut().zip(theirs) {
-        sample.sgbm = value.as_f64();
-    }
-    println!("traces: known curves with 0.2 px of jitter, gaps and false lines; OpenCV {}", output["version"]);
-    report(&samples, &methods);
-    debug(&samples);
-    Ok(())
+        }
+    });
+    let start = Instant::now();
+    let matched = ClassicalMatcher::default().match_curves(pair, &lines, &traces);
+    let matching_s = start.elapsed().as_secs_f64();
+    let refined = METHODS.map(|method| {
+        let settings = RefineSettings { method, ..RefineSettings::default() };
+        refine(matched.clone(), &traces, &pair.rectification, &settings)
+    });
+    let length_px: f64 = traces[0].traces.iter().map(Trace::length_px).sum();
+    let matched_px: f64 = matched.iter().map(MatchedCurve::length_px).sum();
+    println!(
+        "seed {seed}: {} left lines of {length_px:.0} px, {} matched curves of {matched_px:.0} px, {matching_s:.3} s",
+        traces[0].traces.len(),
+        matched.len(),
+    );
+    let labels = refined.each_ref().map(|curves| labels(curves, oracle));
+    let at = |truth: &Truth| refined.iter().zip(&labels).map(|(curves, labels)| found(curves, labels, truth)).collect();
+    truth.iter().map(at).collect()
 }
 
 /// A pair at +-4 degrees, 512x512, signal-to-noise 10, whose geometry is known.
@@ -205,8 +237,9 @@ fn angle(a: &Vector2, b: &Vector2) -> f64 {
 /// What makes a subset of the samples.
 type Choice = fn(&Truth) -> bool;
 
-fn report(samples: &[Sample], methods: &[Refinement]) {
-    let steep = |sample: &&Sample| angle_to_row(&sample.truth.tangent) >= 10.0 * PI / 180.0;
+fn report(samples: &[Sample<'_>]) {
+    let methods = METHODS;
+    let steep = |sample: &&Sample<'_>| angle_to_row(&sample.truth.tangent) >= 10.0 * PI / 180.0;
     let choices: [(&str, Choice); 3] =
         [("all", |_| true), ("near crossings", |truth| truth.crossing), ("overlaps", |truth| truth.overlap)];
     println!(
@@ -214,9 +247,9 @@ fn report(samples: &[Sample], methods: &[Refinement]) {
         "where", "method", "n", "mean", "median", "bad-1 %", "cover %"
     );
     for (name, choice) in choices {
-        let chosen: Vec<&Sample> = samples.iter().filter(steep).filter(|sample| choice(&sample.truth)).collect();
+        let chosen: Vec<&Sample<'_>> = samples.iter().filter(steep).filter(|sample| choice(sample.truth)).collect();
         let curve = methods.len() - 1;
-        let both: Vec<&&Sample> =
+        let both: Vec<&&Sample<'_>> =
             chosen.iter().filter(|sample| sample.sgbm.is_some() && sample.ours[curve].is_some()).collect();
         let covered = |count: usize| 100.0 * count as f64 / chosen.len().max(1) as f64;
         let row = |method: &str, errors: Vec<f64>, cover: f64| {
@@ -264,43 +297,4 @@ fn summary(mut errors: Vec<f64>) -> (f64, f64, f64) {
     let count = errors.len() as f64;
     let bad = errors.iter().filter(|error| **error > 1.0).count() as f64;
     (errors.iter().sum::<f64>() / count, errors[errors.len() / 2], 100.0 * bad / count)
-}
-
-fn debug(samples: &[Sample]) {
-    for at in [20431usize, 21318] {
-        println!("--");
-        for i in (at - 130..at + 130).step_by(6) {
-            let m = &samples[i];
-            println!(
-                "c{} left ({:.1},{:.1}) psi {:.0} d {:.2} right {:.1} found {:?}",
-                m.truth.curve,
-                m.truth.left.x,
-                m.truth.left.y,
-                angle_to_row(&m.truth.tangent).to_degrees(),
-                m.truth.disparity_px,
-                m.truth.left.x + m.truth.disparity_px,
-                m.ours[0].map(|f| f.disparity_px)
-            );
-        }
-    }
-    let key = |s: &Sample| s.ours[2].is_some_and(|f| (f.disparity_px - s.truth.disparity_px).abs() > 1.0);
-    for run in samples.chunk_by(|a, b| key(a) == key(b) && (a.truth.left - b.truth.left).norm() < 3.0) {
-        if key(&run[0]) {
-            let m = &run[run.len() / 2];
-            let f = m.ours[2].unwrap();
-            println!(
-                "pos {} bad run {:>4} at ({:.0},{:.0}) psi {:.0} d {:.2} found {:.2} sig {:.2} {:?} raw {:?}",
-                samples.iter().position(|s| std::ptr::eq(s, m)).unwrap(),
-                run.len(),
-                m.truth.left.x,
-                m.truth.left.y,
-                angle_to_row(&m.truth.tangent).to_degrees(),
-                m.truth.disparity_px,
-                f.disparity_px,
-                f.sigma_px,
-                f.flag,
-                m.ours[0].map(|f| f.disparity_px)
-            );
-        }
-    }
 }

@@ -70,8 +70,10 @@ fn link(points: &[RidgePoint], shape: (usize, usize)) -> Vec<[Option<usize>; 2]>
     for (index, point) in points.iter().enumerate() {
         at[point.pixel] = index as u32;
     }
-    let choice: Vec<[Option<usize>; 2]> =
-        (0..points.len()).into_par_iter().map(|index| [-1.0, 1.0].map(|sense| best(points, &at, index, sense))).collect();
+    let choice: Vec<[Option<usize>; 2]> = (0..points.len())
+        .into_par_iter()
+        .map(|index| [-1.0, 1.0].map(|sense| best(points, &at, index, sense)))
+        .collect();
     let mutual = |from: usize, to: usize| choice[to].contains(&Some(from));
     choice
         .iter()
@@ -191,7 +193,7 @@ impl Judge<'_> {
                 mean * two_sided * doubt_of_blob * by_length * by_width * by_streak
             })
             .collect::<Vec<_>>()[span.clone()]
-            .to_vec();
+        .to_vec();
         Some(Chain { points: order[span].to_vec(), closed, strength, width_px, length_px })
     }
 
@@ -283,11 +285,13 @@ pub(super) fn typical_width_px(chains: &[Chain]) -> Option<f64> {
     widths.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * widths.iter().map(|width| width.1).sum::<f64>();
     let mut sum = 0.0;
-    widths.iter().find(|width| {
-        sum += width.1;
-        sum >= half
-    })
-    .map(|width| width.0)
+    widths
+        .iter()
+        .find(|width| {
+            sum += width.1;
+            sum >= half
+        })
+        .map(|width| width.0)
 }
 
 fn typical_scale(points: &[RidgePoint], order: &[usize]) -> usize {
