@@ -242,7 +242,7 @@ mod tests {
         let mut blanked = Likeness::of(&a, &b, SHAPE);
         blanked.add(&Likeness::of(&a, &b, SHAPE));
         assert!(plain < 0.8);
-        assert!(blanked.ncc().expect("data") > 0.95);
+        assert!(blanked.ncc().expect("data") > 0.95, "{:?}", blanked.ncc());
     }
 
     #[test]

@@ -35,8 +35,6 @@ pub(super) struct Chain {
     pub strength: Vec<f64>,
     /// Full width at half maximum, px.
     pub width_px: f64,
-    /// Length, px.
-    pub length_px: f64,
 }
 
 /// What chains are judged by.
@@ -70,10 +68,8 @@ fn link(points: &[RidgePoint], shape: (usize, usize)) -> Vec<[Option<usize>; 2]>
     for (index, point) in points.iter().enumerate() {
         at[point.pixel] = index as u32;
     }
-    let choice: Vec<[Option<usize>; 2]> = (0..points.len())
-        .into_par_iter()
-        .map(|index| [-1.0, 1.0].map(|sense| best(points, &at, index, sense)))
-        .collect();
+    let choice: Vec<[Option<usize>; 2]> =
+        (0..points.len()).into_par_iter().map(|index| [-1.0, 1.0].map(|sense| best(points, &at, index, sense))).collect();
     let mutual = |from: usize, to: usize| choice[to].contains(&Some(from));
     choice
         .iter()
@@ -193,8 +189,8 @@ impl Judge<'_> {
                 mean * two_sided * doubt_of_blob * by_length * by_width * by_streak
             })
             .collect::<Vec<_>>()[span.clone()]
-        .to_vec();
-        Some(Chain { points: order[span].to_vec(), closed, strength, width_px, length_px })
+            .to_vec();
+        Some(Chain { points: order[span].to_vec(), closed, strength, width_px })
     }
 
     /// By how much the line stands out against its left and its right side (positive for the wanted polarity).
@@ -258,7 +254,7 @@ impl Judge<'_> {
         self.streaks_rad.iter().any(|streak| {
             let off = (along.x * streak.sin() - along.y * streak.cos()).abs().min(1.0).asin();
             // Short pieces have less certain directions: half a px at each end.
-            off < STREAK_TOLERANCE_DEG.to_radians() + 0.7 / chord.norm().max(1.0) && rms < 0.6
+            off < STREAK_TOLERANCE_DEG.to_radians() + 0.7 / chord.norm().max(1.0) && rms < 1.2
         })
     }
 
@@ -285,13 +281,11 @@ pub(super) fn typical_width_px(chains: &[Chain]) -> Option<f64> {
     widths.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * widths.iter().map(|width| width.1).sum::<f64>();
     let mut sum = 0.0;
-    widths
-        .iter()
-        .find(|width| {
-            sum += width.1;
-            sum >= half
-        })
-        .map(|width| width.0)
+    widths.iter().find(|width| {
+        sum += width.1;
+        sum >= half
+    })
+    .map(|width| width.0)
 }
 
 fn typical_scale(points: &[RidgePoint], order: &[usize]) -> usize {

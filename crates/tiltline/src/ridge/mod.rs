@@ -118,8 +118,7 @@ struct Found {
 
 fn find(image: &Array2<f32>, polarity: LinePolarity, rows_rad: f64, settings: &RidgeSettings) -> Found {
     let shape = image.dim();
-    let [narrowest, widest] =
-        [settings.width_px[0].min(settings.width_px[1]), settings.width_px[0].max(settings.width_px[1])];
+    let [narrowest, widest] = [settings.width_px[0].min(settings.width_px[1]), settings.width_px[0].max(settings.width_px[1])];
     let (sigmas, detecting) = sigmas_px(narrowest, widest);
     let mut found =
         Found { probability: Array2::zeros(shape), line_width_px: narrowest.max(3.0).min(widest), evidence: 0.0 };

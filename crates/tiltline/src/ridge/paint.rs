@@ -74,8 +74,7 @@ fn junction_gaps(
             let end = points[chain.points[place]].position;
             let outward: Vector2 = points[chain.points[place]].tangent * sense;
             let (column, row) = cell(&end);
-            let near =
-                (row - cells..=row + cells).flat_map(|row| (column - cells..=column + cells).map(move |c| (c, row)));
+            let near = (row - cells..=row + cells).flat_map(|row| (column - cells..=column + cells).map(move |c| (c, row)));
             let candidates = near.filter_map(|cell| grid.get(&cell)).flatten();
             let best = candidates
                 .filter(|(other, _)| *other != chain_index)

@@ -86,7 +86,8 @@ fn neighbourhood(mask: &Array2<bool>, row: isize, column: isize) -> u8 {
 /// Whether removing a pixel with these neighbours keeps components (8-connected) and holes (4-connected).
 fn is_simple(bits: u8) -> bool {
     let clear = |index: usize| i32::from(bits >> (index % 8) & 1 == 0);
-    let number: i32 = [0, 2, 4, 6].iter().map(|&k| clear(k) - clear(k) * clear(k + 1) * clear(k + 2)).sum();
+    let number: i32 =
+        [0, 2, 4, 6].iter().map(|&k| clear(k) - clear(k) * clear(k + 1) * clear(k + 2)).sum();
     number == 1
 }
 
@@ -176,8 +177,7 @@ mod tests {
 
     #[test]
     fn a_bar_becomes_its_middle_row() {
-        let mut mask = Array2::from_elem((20, 40), false);
-        mask.slice_mut(ndarray::s![8..13, 5..35]).fill(true);
+        let mask = Array2::from_shape_fn((20, 40), |(row, column)| (8..13).contains(&row) && (5..35).contains(&column));
         let skeleton = thin(&mask);
         for column in 10..30 {
             assert!(skeleton[[10, column]]);
@@ -197,9 +197,9 @@ mod tests {
 
     #[test]
     fn small_holes_are_filled_and_large_ones_stay() {
-        let mut mask = Array2::from_elem((12, 20), true);
+        let large = |row: usize, column: usize| (4..8).contains(&row) && (8..14).contains(&column);
+        let mut mask = Array2::from_shape_fn((12, 20), |(row, column)| !large(row, column));
         mask[[3, 3]] = false;
-        mask.slice_mut(ndarray::s![4..8, 8..14]).fill(false);
         mask[[0, 0]] = false;
         fill_small_holes(&mut mask, 6);
         assert!(mask[[3, 3]] && !mask[[5, 9]] && !mask[[0, 0]]);
