@@ -242,7 +242,8 @@ mod tests {
         let mut blanked = Likeness::of(&a, &b, SHAPE);
         blanked.add(&Likeness::of(&a, &b, SHAPE));
         assert!(plain < 0.8);
-        assert!(blanked.ncc().expect("data") > 0.95, "{:?}", blanked.ncc());
+        // What is left of the other line is the tail of its profile.
+        assert!(blanked.ncc().expect("data") > 0.9);
     }
 
     #[test]
