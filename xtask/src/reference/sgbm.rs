@@ -3,10 +3,11 @@
 //! 10 degrees or more off the row.
 
 use std::f64::consts::PI;
+use std::time::Instant;
 
 use miette::{IntoDiagnostic, Result, miette};
 use ndarray::Array2;
-use tiltline::curve::{Flag, MatchedCurve};
+use tiltline::curve::{Flag, MatchedCurve, Trace};
 use tiltline::geometry::{Point2, Vector2, angle_to_row};
 use tiltline::matching::{ClassicalMatcher, TraceFaults, known_traces};
 use tiltline::micrograph::View;
@@ -14,11 +15,15 @@ use tiltline::oracle::Oracle;
 use tiltline::pipeline::{Detect, Match};
 use tiltline::rectify::{Rectification, RectifiedPair};
 use tiltline::refine::{RefineSettings, Refinement, refine};
+use tiltline::ridge::RidgeDetector;
 use tiltline::simulate::{Scene, SceneSettings, ViewSettings, render};
+use tiltline::trace::{TraceSettings, trace};
 
 use crate::npy;
 use crate::venv::Venv;
 
+/// The ways to refine, the default last.
+const METHODS: [Refinement; 3] = [Refinement::None, Refinement::Nearest, Refinement::Curve];
 const SEEDS: u64 = 6;
 /// Another line within this distance makes a crossing (in the left image) or an overlap (in either), px.
 const NEAR_PX: f64 = 6.0;
@@ -30,6 +35,7 @@ const REACH_RAD: f64 = 30.0 * PI / 180.0;
 
 /// A true point of a left line.
 struct Truth {
+    curve: usize,
     left: Point2,
     disparity_px: f64,
     tangent: Vector2,
@@ -45,64 +51,93 @@ struct Found {
     flag: Flag,
 }
 
-struct Sample {
-    truth: Truth,
+/// What both give at a true point.
+struct Sample<'a> {
+    truth: &'a Truth,
+    /// By the methods of [`METHODS`].
     ours: Vec<Option<Found>>,
     sgbm: Option<f64>,
+}
+
+/// What the matcher is fed with.
+#[derive(Clone, Copy, Debug)]
+enum Feed {
+    /// The ridge detector and the tracer.
+    Detected,
+    /// Known curves with jitter, gaps and false lines.
+    Known,
 }
 
 /// Prints the comparison.
 pub fn run(venv: &Venv) -> Result<()> {
     let folder = venv.work.join("sgbm");
     std::fs::create_dir_all(&folder).into_diagnostic()?;
-    let methods = [Refinement::None, Refinement::Nearest, Refinement::Curve];
-    let mut samples: Vec<Sample> = Vec::new();
-    for seed in 0..SEEDS {
-        let (pair, oracle) = rendered(seed);
-        let lines = View::BOTH.map(|view| oracle.detect(&pair, view));
-        let traces = View::BOTH.map(|view| {
+    let pairs: Vec<(RectifiedPair, Oracle)> = (0..SEEDS).map(rendered).collect();
+    let truths: Vec<Vec<Truth>> =
+        pairs.iter().map(|(pair, oracle)| true_points(oracle, pair.rectification.shape)).collect();
+    for (seed, ((pair, _), truth)) in pairs.iter().zip(&truths).enumerate() {
+        npy::write_f32(&folder.join(format!("left-{seed}.npy")), &pair.left)?;
+        npy::write_f32(&folder.join(format!("right-{seed}.npy")), &pair.right)?;
+        let points = Array2::from_shape_fn((truth.len(), 2), |(row, column)| truth[row].left[column]);
+        npy::write_f64(&folder.join(format!("points-{seed}.npy")), &points)?;
+    }
+    let output = venv.run("sgbm.py", &[folder.as_os_str(), SEEDS.to_string().as_ref()])?;
+    let output: serde_json::Value = serde_json::from_str(&output).into_diagnostic()?;
+    let theirs = output["disparity"].as_array().ok_or_else(|| miette!("sgbm.py gave no disparities"))?;
+    println!("{SEEDS} pairs of 512x512 at 8 degrees, signal-to-noise 10; OpenCV {}", output["version"]);
+    for feed in [Feed::Known, Feed::Detected] {
+        println!("-- lines: {feed:?}");
+        let mut samples: Vec<Sample> = Vec::new();
+        for (seed, ((pair, oracle), truth)) in pairs.iter().zip(&truths).enumerate() {
+            let found = ours(feed, seed as u64, pair, oracle, truth);
+            let theirs = theirs[seed].as_array().into_iter().flatten().map(serde_json::Value::as_f64);
+            samples.extend(truth.iter().zip(found).zip(theirs).map(|((truth, ours), sgbm)| Sample {
+                truth,
+                ours,
+                sgbm,
+            }));
+        }
+        report(&samples);
+    }
+    Ok(())
+}
+
+/// What each method of refinement gives at each true point.
+fn ours(feed: Feed, seed: u64, pair: &RectifiedPair, oracle: &Oracle, truth: &[Truth]) -> Vec<Vec<Option<Found>>> {
+    let lines = View::BOTH.map(|view| match feed {
+        Feed::Detected => RidgeDetector::default().detect(pair, view),
+        Feed::Known => oracle.detect(pair, view),
+    });
+    let traces = View::BOTH.map(|view| match feed {
+        Feed::Detected => trace(&lines[view.index()], &TraceSettings::default()),
+        Feed::Known => {
             let faults = TraceFaults {
                 sigma_perp_px: 0.2,
-                correlation_px: 1.5,
+                correlation_px: 1.1,
                 gap_every_px: 300.0,
                 false_lines: 6,
                 seed: 2 * seed + view.index() as u64,
             };
             known_traces(&oracle.curves[view.index()], pair.rectification.shape, &faults).0
-        });
-        let start = std::time::Instant::now();
-        let matched = ClassicalMatcher::default().match_curves(&pair, &lines, &traces);
-        let matching_s = start.elapsed().as_secs_f64();
-        let refined = methods.map(|method| {
-            let settings = RefineSettings { method, ..RefineSettings::default() };
-            refine(matched.clone(), &traces, &pair.rectification, &settings)
-        });
-        println!(
-            "seed {seed}: {} left traces, {} matched curves, matching {matching_s:.3} s, all {:.3} s",
-            traces[0].traces.len(),
-            matched.len(),
-            start.elapsed().as_secs_f64()
-        );
-        let truth = true_points(&oracle, pair.rectification.shape);
-        npy::write_f32(&folder.join(format!("left-{seed}.npy")), &pair.left)?;
-        npy::write_f32(&folder.join(format!("right-{seed}.npy")), &pair.right)?;
-        let points = Array2::from_shape_fn((truth.len(), 2), |(row, column)| truth[row].left[column]);
-        npy::write_f64(&folder.join(format!("points-{seed}.npy")), &points)?;
-        samples.extend(truth.into_iter().map(|truth| {
-            let ours = refined.iter().map(|curves| found(curves, &truth)).collect();
-            Sample { truth, ours, sgbm: None }
-        }));
-    }
-    let output = venv.run("sgbm.py", &[folder.as_os_str(), SEEDS.to_string().as_ref()])?;
-    let output: serde_json::Value = serde_json::from_str(&output).into_diagnostic()?;
-    let theirs = output["disparity"].as_array().ok_or_else(|| miette!("sgbm.py gave no disparities"))?;
-    let theirs = theirs.iter().flat_map(|pair| pair.as_array().into_iter().flatten());
-    for (sample, value) in samples.iter_mut().zip(theirs) {
-        sample.sgbm = value.as_f64();
-    }
-    println!("traces: known curves with 0.2 px of jitter, gaps and false lines; OpenCV {}", output["version"]);
-    report(&samples, &methods);
-    Ok(())
+        }
+    });
+    let start = Instant::now();
+    let matched = ClassicalMatcher::default().match_curves(pair, &lines, &traces);
+    let matching_s = start.elapsed().as_secs_f64();
+    let refined = METHODS.map(|method| {
+        let settings = RefineSettings { method, ..RefineSettings::default() };
+        refine(matched.clone(), &traces, &pair.rectification, &settings)
+    });
+    let length_px: f64 = traces[0].traces.iter().map(Trace::length_px).sum();
+    let matched_px: f64 = matched.iter().map(MatchedCurve::length_px).sum();
+    println!(
+        "seed {seed}: {} left lines of {length_px:.0} px, {} matched curves of {matched_px:.0} px, {matching_s:.3} s",
+        traces[0].traces.len(),
+        matched.len(),
+    );
+    let labels = refined.each_ref().map(|curves| labels(curves, oracle));
+    let at = |truth: &Truth| refined.iter().zip(&labels).map(|(curves, labels)| found(curves, labels, truth)).collect();
+    truth.iter().map(at).collect()
 }
 
 /// A pair at +-4 degrees, 512x512, signal-to-noise 10, whose geometry is known.
@@ -143,6 +178,7 @@ fn true_points(oracle: &Oracle, shape: [usize; 2]) -> Vec<Truth> {
                 others(view, point).any(|pair| angle(&(pair[1] - pair[0]), &tangents[view]) < OVERLAP_RAD)
             };
             points.push(Truth {
+                curve,
                 left: l,
                 disparity_px: r.x - l.x,
                 tangent: tangents[0].normalize(),
@@ -154,10 +190,25 @@ fn true_points(oracle: &Oracle, shape: [usize; 2]) -> Vec<Truth> {
     points
 }
 
+/// The true curve that each matched curve follows in the left image: where two true curves lie over each other, the
+/// nearest at a point may be the wrong one, but not along the whole.
+fn labels(curves: &[MatchedCurve], oracle: &Oracle) -> Vec<usize> {
+    let distance = |curve: &MatchedCurve, truth: &Vec<Point2>| -> f64 {
+        let to = |point: &Point2| truth.iter().map(|other| (other - point).norm()).fold(f64::INFINITY, f64::min);
+        curve.points.iter().map(|point| to(&point.left).min(2.0 * NEAR_PX)).sum()
+    };
+    let label = |curve: &MatchedCurve| {
+        let distances = oracle.curves[0].iter().map(|truth| distance(curve, truth));
+        distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
+    };
+    curves.iter().map(label).collect()
+}
+
 /// The disparity that matched curves give at a true point: on the nearest segment of about its direction.
-fn found(curves: &[MatchedCurve], truth: &Truth) -> Option<Found> {
+fn found(curves: &[MatchedCurve], labels: &[usize], truth: &Truth) -> Option<Found> {
     let mut best: Option<(f64, Found)> = None;
-    for pair in curves.iter().flat_map(|curve| curve.points.windows(2)) {
+    let own = curves.iter().zip(labels).filter(|(_, label)| **label == truth.curve);
+    for pair in own.flat_map(|(curve, _)| curve.points.windows(2)) {
         let along = pair[1].left - pair[0].left;
         let offset = truth.left - pair[0].left;
         if offset.norm() > REACH_PX + along.norm() || angle(&along, &truth.tangent) > REACH_RAD {
@@ -186,8 +237,9 @@ fn angle(a: &Vector2, b: &Vector2) -> f64 {
 /// What makes a subset of the samples.
 type Choice = fn(&Truth) -> bool;
 
-fn report(samples: &[Sample], methods: &[Refinement]) {
-    let steep = |sample: &&Sample| angle_to_row(&sample.truth.tangent) >= 10.0 * PI / 180.0;
+fn report(samples: &[Sample<'_>]) {
+    let methods = METHODS;
+    let steep = |sample: &&Sample<'_>| angle_to_row(&sample.truth.tangent) >= 10.0 * PI / 180.0;
     let choices: [(&str, Choice); 3] =
         [("all", |_| true), ("near crossings", |truth| truth.crossing), ("overlaps", |truth| truth.overlap)];
     println!(
@@ -195,9 +247,9 @@ fn report(samples: &[Sample], methods: &[Refinement]) {
         "where", "method", "n", "mean", "median", "bad-1 %", "cover %"
     );
     for (name, choice) in choices {
-        let chosen: Vec<&Sample> = samples.iter().filter(steep).filter(|sample| choice(&sample.truth)).collect();
+        let chosen: Vec<&Sample<'_>> = samples.iter().filter(steep).filter(|sample| choice(sample.truth)).collect();
         let curve = methods.len() - 1;
-        let both: Vec<&&Sample> =
+        let both: Vec<&&Sample<'_>> =
             chosen.iter().filter(|sample| sample.sgbm.is_some() && sample.ours[curve].is_some()).collect();
         let covered = |count: usize| 100.0 * count as f64 / chosen.len().max(1) as f64;
         let row = |method: &str, errors: Vec<f64>, cover: f64| {

@@ -1,9 +1,10 @@
 //! How alike the surroundings of a left and a right point look: zero-mean normalised cross-correlation (NCC).
 //!
 //! NCC ignores gain and offset, which differ between views. A window is a stack of row profiles along the curve, so that
-//! it follows both lines whatever their slopes and sums evidence along the arc, not across it. Each window is scored
-//! three times: whole, and with the background of one side only, because a line at another depth that passes on one side
-//! moves against this one (the foil is transparent). Sums of moments instead of pixels make stacking cheap.
+//! it follows both lines whatever their slopes and sums evidence along the arc, not across it. A line at another depth that
+//! passes nearby moves against this one (the foil is transparent): where it was traced its pixels are left out, and each
+//! window is scored three times, whole and with the background of one side only. Sums of moments instead of pixels make
+//! stacking cheap.
 
 use ndarray::Array2;
 
@@ -66,6 +67,20 @@ impl Profile {
             }
         }
         Self { values }
+    }
+
+    /// Blanks the pixels that lie on other lines rather than on this one; `others` are their `x` on this row less this
+    /// one's. They stand at their own depth, so that they move against this line from view to view.
+    pub fn without_lines(mut self, others: impl Iterator<Item = f64>, shape: ProfileShape) -> Self {
+        for other in others {
+            for (slot, value) in self.values.iter_mut().enumerate().take(2 * shape.half + 1) {
+                let offset = slot as f64 - shape.half as f64;
+                if (offset - other).abs() <= shape.line as f64 && (offset - other).abs() < offset.abs() {
+                    *value = f32::NAN;
+                }
+            }
+        }
+        self
     }
 
     /// The pixels of a row around `(column, row)`, which may lie outside the image.
@@ -211,6 +226,24 @@ mod tests {
         whole.add(&likeness.parts[2]);
         assert!(whole.ncc(9.0).expect("data") < 0.7);
         assert!(likeness.ncc().expect("data") > 0.95);
+    }
+
+    #[test]
+    fn a_traced_line_that_changes_sides_is_left_out() {
+        // The other line stands on the right in one image and on the left in the other: no side is free in both.
+        let dip = |x: f64, at: f64| (-0.5 * (x - at).powi(2) / 2.25).exp();
+        let image = |other: f64| {
+            Array2::from_shape_fn((5, 40), |(_, x)| (1.0 - dip(x as f64, 20.0) - dip(x as f64, 20.0 + other)) as f32)
+        };
+        let profile = |other: f64| Profile::sample(&image(other), 20.0, 2.0, SHAPE);
+        let plain = Likeness::of(&profile(5.0), &profile(-5.0), SHAPE).ncc().expect("data");
+        let [a, b] = [5.0, -5.0].map(|other| profile(other).without_lines([other].into_iter(), SHAPE));
+        // One row leaves few pixels; a stack of them is what the matcher compares.
+        let mut blanked = Likeness::of(&a, &b, SHAPE);
+        blanked.add(&Likeness::of(&a, &b, SHAPE));
+        assert!(plain < 0.8);
+        // What is left of the other line is the tail of its profile.
+        assert!(blanked.ncc().expect("data") > 0.9);
     }
 
     #[test]

@@ -7,7 +7,7 @@
 use ndarray::Array2;
 
 use super::appearance::{Likeness, Profile, ProfileShape};
-use super::crossings::{RowIndex, arc_lengths};
+use super::crossings::{Crossing, RowIndex, arc_lengths};
 use super::sigma::sigma_along_row_px;
 use crate::curve::{LineMap, Trace};
 use crate::filter::sample_linear;
@@ -73,21 +73,37 @@ pub(crate) struct Candidates {
     pub arc_px: Vec<f64>,
 }
 
-/// Candidates of every point of `trace`, a line of `here`, in the view `there`, with disparities in `range_px`.
-pub(crate) fn candidates(trace: &Trace, here: Side<'_>, there: Side<'_>, range_px: [f64; 2]) -> Candidates {
-    let width_px = 0.5 * (here.lines.line_width_px + there.lines.line_width_px);
-    let shape = ProfileShape::for_line_width(width_px);
-    let arc_px = arc_lengths(trace);
-    let mut at = traced(trace, here, there, range_px, shape, &arc_px);
-    let peaks = untraced(trace, here, there, range_px, shape);
-    for (list, peaks) in at.iter_mut().zip(peaks) {
-        let apart = |peak: &Candidate| {
-            list.iter().all(|candidate| (candidate.disparity_px - peak.disparity_px).abs() > PEAK_CLEARANCE_PX)
-        };
-        let free: Vec<Candidate> = peaks.into_iter().filter(apart).collect();
-        list.extend(free);
+impl Candidates {
+    /// Crossings with traced lines for every point of `trace`, a line of `here`, in the view `there`, with disparities in
+    /// `range_px`.
+    pub fn on_traces(trace: &Trace, here: Side<'_>, there: Side<'_>, range_px: [f64; 2]) -> Self {
+        let arc_px = arc_lengths(trace);
+        let at = traced(trace, here, there, range_px, profile_shape(here, there), &arc_px);
+        Self { at, arc_px }
     }
-    Candidates { at, arc_px }
+
+    /// Adds mere likenesses at the points that are `wanted`.
+    pub fn add_likenesses(
+        &mut self,
+        trace: &Trace,
+        here: Side<'_>,
+        there: Side<'_>,
+        range_px: [f64; 2],
+        wanted: &[bool],
+    ) {
+        let peaks = untraced(trace, here, there, range_px, profile_shape(here, there), wanted);
+        for (list, peaks) in self.at.iter_mut().zip(peaks) {
+            let apart = |peak: &Candidate| {
+                list.iter().all(|candidate| (candidate.disparity_px - peak.disparity_px).abs() > PEAK_CLEARANCE_PX)
+            };
+            let free: Vec<Candidate> = peaks.into_iter().filter(apart).collect();
+            list.extend(free);
+        }
+    }
+}
+
+fn profile_shape(here: Side<'_>, there: Side<'_>) -> ProfileShape {
+    ProfileShape::for_line_width(0.5 * (here.lines.line_width_px + there.lines.line_width_px))
 }
 
 /// Crossings of the row with traced lines.
@@ -107,14 +123,20 @@ fn traced(
             there.index.crossings(point.position.y, [x + range_px[0], x + range_px[1]])
         })
         .collect();
+    let reach = (shape.half + shape.line) as f64;
+    // The profile of a view at `x` without the other lines that this row cuts.
+    let profile = |side: Side<'_>, row: &[Crossing], x: f64, y: f64| {
+        let others = row.iter().map(|other| other.x - x).filter(|other| other.abs() > 0.5 && other.abs() < reach);
+        Profile::sample(side.image, x, y, shape).without_lines(others, shape)
+    };
     let rows: Vec<Vec<Likeness>> = trace
         .points
         .iter()
         .zip(&crossings)
         .map(|(point, crossings)| {
-            let left = Profile::sample(here.image, point.position.x, point.position.y, shape);
-            let likeness =
-                |x: f64| Likeness::of(&left, &Profile::sample(there.image, x, point.position.y, shape), shape);
+            let (x, y) = (point.position.x, point.position.y);
+            let left = profile(here, &here.index.crossings(y, [x - reach, x + reach]), x, y);
+            let likeness = |at: f64| Likeness::of(&left, &profile(there, crossings, at, y), shape);
             crossings.iter().map(|crossing| likeness(crossing.x)).collect()
         })
         .collect();
@@ -145,7 +167,7 @@ fn traced(
         .iter()
         .enumerate()
         .map(|(index, point)| {
-            let candidate = |(number, crossing): (usize, &super::crossings::Crossing)| {
+            let candidate = |(number, crossing): (usize, &Crossing)| {
                 let ncc = stacked(index, number).ncc().unwrap_or(UNKNOWN_NCC);
                 let angle = line_angle(&point.tangent, &crossing.tangent) / TANGENT_SCALE_RAD;
                 let evidence = crossing.probability.max(evidence(there.lines, crossing.x, point.position.y));
@@ -175,13 +197,19 @@ fn untraced(
     there: Side<'_>,
     range_px: [f64; 2],
     shape: ProfileShape,
+    wanted: &[bool],
 ) -> Vec<Vec<Candidate>> {
     let (low, high) = (range_px[0].ceil() as i64 - 1, range_px[1].floor() as i64 + 1);
     let levels = (high - low + 1).max(0) as usize;
+    let window = |index: usize| index.saturating_sub(STACK)..(index + STACK + 1).min(wanted.len());
     let rows: Vec<Vec<Likeness>> = trace
         .points
         .iter()
-        .map(|point| {
+        .enumerate()
+        .map(|(index, point)| {
+            if !wanted[window(index)].contains(&true) {
+                return Vec::new();
+            }
             let (column, row) = (point.position.x.round() as i64, point.position.y.round() as i64);
             let left = Profile::of_pixels(here.image, column, row, shape);
             (0..levels as i64)
@@ -195,11 +223,13 @@ fn untraced(
     let mut ncc = vec![f32::NAN; levels];
     (0..rows.len())
         .map(|index| {
-            let window = index.saturating_sub(STACK)..(index + STACK + 1).min(rows.len());
+            if !wanted[index] {
+                return Vec::new();
+            }
             let mut pixels = 0.0;
             for (level, value) in ncc.iter_mut().enumerate() {
                 let mut sum = Likeness::default();
-                rows[window.clone()].iter().for_each(|row| sum.add(&row[level]));
+                rows[window(index)].iter().for_each(|row| sum.add(&row[level]));
                 *value = sum.ncc().unwrap_or(f32::NAN);
                 pixels = sum.pixels().max(pixels);
             }

@@ -17,7 +17,7 @@ mod solve;
 mod unmatched;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use serde::{Deserialize, Serialize};
 

@@ -4,7 +4,7 @@
 //! candidate, which keeps the disparity before and after a gap tied together. There is no ordering constraint between lines.
 //! Costs are per px of arc length; an unmatched px costs 1.
 
-use super::candidates::Candidate;
+use super::candidates::{Candidate, line_angle};
 use super::crossings::RowIndex;
 
 /// Cost per px without a match, where the line is well and where it is ill conditioned (such a stretch says little).
@@ -17,8 +17,12 @@ const GAP_ILL_COST: f64 = 0.1;
 const LEAP_COST: f64 = 0.5;
 /// Cost of passing between matched and unmatched.
 const PASSAGE_COST: f64 = 2.0;
-/// Cost of passing to another traced line.
-const SWITCH_COST: f64 = 2.5;
+/// Cost of passing to another traced line in the same direction (a tracer's gap), and more for a turn: where two lines
+/// cross, passing from one to the other makes a kink that the left line does not have.
+const SWITCH_COST: f64 = 1.5;
+const TURN_COST: f64 = 8.0;
+/// Turn at which half of that is paid (15 degrees).
+const TURN_SCALE_RAD: f64 = 0.26;
 /// Cost of passing between a traced line and a mere likeness, or between two likenesses.
 const TRACED_TO_UNTRACED_COST: f64 = 1.0;
 /// Cost per px of change of disparity.
@@ -129,12 +133,19 @@ fn transition(from: &Candidate, to: &Candidate, distance_px: f64, there: &RowInd
     let switch = match (from.on, to.on) {
         (Some((a, from_arc)), Some((b, to_arc))) => {
             let follows = a == b && there.distance_px(a, from_arc, to_arc) <= 2.5 * distance_px + 2.0 * noise + 2.0;
-            if follows { 0.0 } else { SWITCH_COST }
+            if follows { 0.0 } else { SWITCH_COST + turn_cost(from, to) }
         }
         (None, None) => 0.5 * change,
         _ => TRACED_TO_UNTRACED_COST,
     };
     SLOPE_COST * change + switch
+}
+
+/// Cost of the angle between the directions of two traced candidates.
+fn turn_cost(from: &Candidate, to: &Candidate) -> f64 {
+    let (Some(a), Some(b)) = (from.tangent, to.tangent) else { return 0.0 };
+    let turn = line_angle(&a, &b) / TURN_SCALE_RAD;
+    TURN_COST * turn * turn / (1.0 + turn * turn)
 }
 
 fn cheapest(costs: &[f64]) -> Option<(usize, f64)> {

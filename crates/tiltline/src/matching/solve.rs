@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::assemble::{Measured, assemble};
-use super::candidates::{Candidates, Side, candidates};
+use super::candidates::{Candidates, Side};
 use super::crossings::RowIndex;
 use super::path::{Step, cheapest_path};
 use super::sigma::ill_conditioned;
@@ -22,8 +22,10 @@ const MAX_CONTRADICTED_PX: f64 = 40.0;
 
 /// One direction of matching: lines of one view and their candidates in the other.
 struct Direction<'a> {
-    traces: &'a [Trace],
+    here: Side<'a>,
     there: Side<'a>,
+    traces: &'a [Trace],
+    range_px: [f64; 2],
     candidates: Vec<Candidates>,
     ill: Vec<Vec<bool>>,
 }
@@ -34,9 +36,19 @@ type Paths = Vec<Vec<Option<usize>>>;
 impl<'a> Direction<'a> {
     fn new(here: Side<'a>, there: Side<'a>, range_px: [f64; 2]) -> Self {
         let traces = here.traces;
-        let candidates = traces.par_iter().map(|trace| candidates(trace, here, there, range_px)).collect();
+        let candidates = traces.par_iter().map(|trace| Candidates::on_traces(trace, here, there, range_px)).collect();
         let ill = |trace: &Trace| trace.points.iter().map(|point| ill_conditioned(&point.tangent)).collect();
-        Self { traces, there, candidates, ill: traces.iter().map(ill).collect() }
+        Self { here, there, traces, range_px, candidates, ill: traces.iter().map(ill).collect() }
+    }
+
+    /// Adds mere likenesses where lines found no traced partner.
+    fn look_for_untraced(&mut self, paths: &Paths) {
+        let (here, there, range_px) = (self.here, self.there, self.range_px);
+        let lines = self.candidates.par_iter_mut().zip(self.traces).zip(paths);
+        lines.for_each(|((candidates, trace), path)| {
+            let wanted: Vec<bool> = path.iter().map(Option::is_none).collect();
+            candidates.add_likenesses(trace, here, there, range_px, &wanted);
+        });
     }
 
     /// The cheapest path of every line; `surcharge` gives the extra cost of a candidate.
@@ -126,19 +138,11 @@ pub(super) fn solve(
     let [left_index, right_index] = [0, 1].map(|view| RowIndex::new(&traces[view].traces));
     let left = Side { image: &pair.left, lines: &lines[0], traces: &traces[0].traces, index: &left_index };
     let right = Side { image: &pair.right, lines: &lines[1], traces: &traces[1].traces, index: &right_index };
-    let forth = Direction::new(left, right, range_px);
+    let mut forth = Direction::new(left, right, range_px);
     let back = Direction::new(right, left, [-range_px[1], -range_px[0]]);
-    let mut forth_paths = forth.paths(|_, _, _| 0.0);
-    let mut back_paths = back.paths(|_, _, _| 0.0);
-    let extra = |verdict: Verdict| if verdict == Verdict::Contradicts { CONTRADICTION_COST } else { 0.0 };
-    for _ in 0..ROUNDS {
-        let next_forth = forth.paths(|l, p, c| extra(verdict(&forth, &back, &back_paths, [l, p, c])));
-        let next_back = back.paths(|l, p, c| extra(verdict(&back, &forth, &forth_paths, [l, p, c])));
-        if next_forth == forth_paths && next_back == back_paths {
-            break;
-        }
-        (forth_paths, back_paths) = (next_forth, next_back);
-    }
+    let (forth_paths, _) = agree(&forth, &back);
+    forth.look_for_untraced(&forth_paths);
+    let (forth_paths, back_paths) = agree(&forth, &back);
     let spread_px = (range_px[1] - range_px[0]) / 12.0_f64.sqrt();
     let curves: Vec<Vec<MatchedCurve>> = (0..forth.traces.len())
         .into_par_iter()
@@ -148,6 +152,22 @@ pub(super) fn solve(
         })
         .collect();
     curves.into_iter().flatten().collect()
+}
+
+/// Paths of both directions after the rounds in which each yields to the other.
+fn agree(forth: &Direction<'_>, back: &Direction<'_>) -> (Paths, Paths) {
+    let extra = |verdict: Verdict| if verdict == Verdict::Contradicts { CONTRADICTION_COST } else { 0.0 };
+    let mut forth_paths = forth.paths(|_, _, _| 0.0);
+    let mut back_paths = back.paths(|_, _, _| 0.0);
+    for _ in 0..ROUNDS {
+        let next_forth = forth.paths(|l, p, c| extra(verdict(forth, back, &back_paths, [l, p, c])));
+        let next_back = back.paths(|l, p, c| extra(verdict(back, forth, &forth_paths, [l, p, c])));
+        if next_forth == forth_paths && next_back == back_paths {
+            break;
+        }
+        (forth_paths, back_paths) = (next_forth, next_back);
+    }
+    (forth_paths, back_paths)
 }
 
 /// What was measured along a line, without the stretches that the other direction contradicts.
