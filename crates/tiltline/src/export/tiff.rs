@@ -58,8 +58,7 @@ pub fn rasterise(reconstruction: &Reconstruction) -> [Array2<f32>; 2] {
             }
             let index = [row as usize, column as usize];
             let sigma_here = (a.sigma_disparity_px * (1.0 - t) + b.sigma_disparity_px * t) as f32;
-            // True also where nothing was painted yet: NaN compares as neither.
-            if !(sigma[index] <= sigma_here) {
+            if sigma[index].is_nan() || sigma_here < sigma[index] {
                 sigma[index] = sigma_here;
                 disparity[index] = (a.disparity_px * (1.0 - t) + b.disparity_px * t) as f32;
             }

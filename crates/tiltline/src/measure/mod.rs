@@ -8,6 +8,7 @@ mod foil;
 mod smooth;
 
 use nalgebra::Unit;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::curve::{Curve3, Flag};
@@ -130,7 +131,7 @@ pub fn measure(
     rectified: &RectifiedPair,
     settings: &MeasureSettings,
 ) -> (Measures, Vec<Warning>) {
-    let smooth: Vec<SmoothCurve> = curves.iter().map(|curve| SmoothCurve::new(curve, frame)).collect();
+    let smooth: Vec<SmoothCurve> = curves.par_iter().map(|curve| SmoothCurve::new(curve, frame)).collect();
     let per_curve: Vec<CurveMeasures> = curves.iter().zip(&smooth).map(|(c, s)| measure_curve(c, s)).collect();
     let length = LengthBudget::new(curves, &smooth, frame);
     let foil = foil::fit(curves, &smooth, frame, settings);

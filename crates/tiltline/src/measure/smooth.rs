@@ -96,15 +96,22 @@ impl<'a> Samples<'a> {
     fn fit(&self, index: usize, window: f64) -> [Vector3; 3] {
         let points = &self.curve.points;
         let own = points[index].position.coords;
-        let (mut moments, mut right) = (Matrix3::<f64>::zeros(), Matrix3::<f64>::zeros());
+        // Sums of weight t^0..t^4, and of weight t^0..t^2 times the position.
+        let (mut sums, mut right) = ([0.0; 5], [Vector3::zeros(); 3]);
         let mut used = 0;
         if window > 0.0 {
             let mut add = |other: usize, offset: f64| {
                 let t = offset / window;
                 let weight = (-0.5 * t * t).exp();
-                let basis = Vector3::new(1.0, t, t * t);
-                moments += basis * basis.transpose() * weight;
-                right += basis * (points[other].position.coords - own).transpose() * weight;
+                let position = points[other].position.coords - own;
+                let mut term = weight;
+                for power in 0..5 {
+                    sums[power] += term;
+                    if power < 3 {
+                        right[power] += position * term;
+                    }
+                    term *= t;
+                }
                 used += 1;
             };
             add(index, 0.0);
@@ -112,7 +119,9 @@ impl<'a> Samples<'a> {
             self.walk(index, window, -1, &mut add);
         }
         // Fewer than five points would be interpolated, not smoothed.
-        let solution = if used >= 5 { moments.try_inverse().map(|inverse| inverse * right) } else { None };
+        let moments = Matrix3::from_fn(|row, column| sums[row + column]);
+        let inverse = if used >= 5 { moments.try_inverse() } else { None };
+        let solution = inverse.map(|inverse| inverse * Matrix3::from_columns(&right).transpose());
         match solution {
             Some(fit) => [
                 own + fit.row(0).transpose(),

@@ -169,14 +169,21 @@ fn the_tilt_error_widens_the_interval_of_the_thickness() {
 
 #[test]
 fn ends_at_random_depths_are_no_surfaces() {
-    let mut rng = Pcg64::seed_from_u64(2);
-    let mut place =
-        || Point3::new(rng.random_range(-200.0..200.0), rng.random_range(-200.0..200.0), rng.random_range(-60.0..60.0));
-    let curves: Vec<Curve3> = (0..20).map(|_| straight(place(), place(), 5.0)).collect();
-    let (measures, _) = measure(&curves, &pixels(), &field(500, 500), &MeasureSettings::default());
-    let Known::Unknown(reason) = &measures.foil else { panic!("{:?}", measures.foil) };
-    assert!(reason.contains("free line ends"), "{reason}");
-    assert_eq!(measures.density.known().expect("area").unit, DensityUnit::PerPixel);
+    let mut believed = 0;
+    for seed in 0..20 {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let mut place =
+            || Point3::from(Vector3::from_fn(|axis, _| rng.random_range(-60.0..60.0) * [3.0, 3.0, 1.0][axis]));
+        let curves: Vec<Curve3> = (0..10).map(|_| straight(place(), place(), 3.0)).collect();
+        let (measures, _) = measure(&curves, &pixels(), &field(50, 50), &MeasureSettings::default());
+        assert!(measures.density.known().is_some());
+        match &measures.foil {
+            Known::Known(_) => believed += 1,
+            Known::Unknown(reason) => assert!(reason.contains("free line ends"), "{reason}"),
+        }
+    }
+    // Each is believed with a probability of at most 0.01: two or more of twenty would be one case in sixty.
+    assert!(believed <= 1, "{believed} of 20");
 }
 
 #[test]

@@ -247,7 +247,7 @@ fn draw_curves(canvas: &mut Canvas, reconstruction: &Reconstruction, view: View,
             let ends = [place(a), place(b)];
             let doubtful = a.flag != Flag::Ok || b.flag != Flag::Ok;
             // A dash and a gap of the same length where the depth was not measured well.
-            if !doubtful || (along / dash) as usize % 2 == 0 {
+            if !doubtful || ((along / dash) as usize).is_multiple_of(2) {
                 casing.piece(ends, layout.stroke() + layout.dot as f64, CASING);
                 strokes.piece(ends, layout.stroke(), scale.colour(0.5 * (a.position.z + b.position.z)));
             }
