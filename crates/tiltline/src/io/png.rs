@@ -14,7 +14,7 @@ use super::tiff_calibration::finer_than_print;
 use super::{ByteOrder, Format, Header, Input, Pages, ReadError, SampleType};
 
 /// Deflate shrinks by at most 1032 (RFC 1951: 258 bytes for two bits, zlib's technical notes).
-pub(super) const DEFLATE_RATIO: u64 = 1032;
+const DEFLATE_RATIO: u64 = 1032;
 
 /// Bytes beyond the image itself that the decoder may take: a row, its filters, colour profiles are not kept.
 const DECODER_SLACK: usize = 1 << 20;
@@ -25,6 +25,8 @@ pub struct PngFile<R> {
     input: Input<R>,
     header: Header,
     channels: usize,
+    /// Bytes that come out of deflate: rows as stored, with their filter bytes.
+    stored_bytes: u64,
 }
 
 /// Reads a PNG held in memory; `name` stands for its path in messages.
@@ -49,6 +51,7 @@ impl<R: BufRead + Seek> PngFile<R> {
         let sample = if depth == BitDepth::Sixteen { SampleType::Uint16 } else { SampleType::Uint8 };
         let resolution = reader.info().pixel_dims;
         let channels = color.samples();
+        let stored_bytes = reader.info().raw_bytes() as u64;
         let mut header = Header {
             format: Format::Png,
             rows: rows as usize,
@@ -67,7 +70,7 @@ impl<R: BufRead + Seek> PngFile<R> {
             let what = "its palette is damaged".to_owned();
             return Err(ReadError::Corrupt { path: input.path, format: "PNG", what });
         }
-        Ok(Self { input, header, channels })
+        Ok(Self { input, header, channels, stored_bytes })
     }
 }
 
@@ -96,11 +99,14 @@ where
         if page > 0 {
             return Err(ReadError::NoSuchPage { path: path.clone(), page, pages: 1 });
         }
-        // Expansion of one bit to 8 bits, and of a palette index to RGB, multiplies what deflate gave.
-        let most = self.input.length.saturating_mul(DEFLATE_RATIO * 32);
-        if bytes > most {
-            let promised = format!("{columns} x {rows} px");
-            return Err(ReadError::Truncated { path: path.clone(), promised, needed: bytes, held: self.input.length });
+        if self.stored_bytes > self.input.length.saturating_mul(DEFLATE_RATIO) {
+            let promised = format!("{columns} x {rows} px (compressed)");
+            return Err(ReadError::Truncated {
+                path: path.clone(),
+                promised,
+                needed: self.stored_bytes,
+                held: self.input.length,
+            });
         }
         let reader = &mut self.input.reader;
         reader.seek(SeekFrom::Start(0)).map_err(|error| super::input::io_error(path, error))?;

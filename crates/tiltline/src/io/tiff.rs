@@ -8,6 +8,7 @@ use std::collections::HashSet;
 use std::io::{ErrorKind, Read, Seek, SeekFrom};
 
 use ndarray::Array2;
+use tiff::decoder::ifd::Value;
 use tiff::decoder::{ChunkType, Decoder, DecodingResult, Limits};
 use tiff::tags::{CompressionMethod, SampleFormat, Tag};
 use tiff::{ColorType, TiffError};
@@ -15,7 +16,7 @@ use tiff::{ColorType, TiffError};
 use super::header::check_limits;
 use super::input::io_error;
 use super::samples::{self, Channels};
-use super::{ByteOrder, Format, Header, Input, MAX_BYTES, Pages, ReadError, SampleType, tiff_calibration};
+use super::{ByteOrder, Format, Header, Input, Pages, ReadError, SampleType, tiff_calibration};
 
 /// Most by which a page can shrink: LZW codes of 12 bits stand for up to 4096 bytes, deflate stays below.
 const LZW_RATIO: u64 = 2731;
@@ -31,7 +32,8 @@ const REMEDY: &str = "save it as grey TIFF of 8, 16 or 32 bits, uncompressed or 
 pub struct TiffFile<R: Read + Seek> {
     path: String,
     length: u64,
-    decoder: Decoder<R>,
+    /// Always there between calls; limits can only be set by value.
+    decoder: Option<Decoder<R>>,
     header: Header,
     pages: Layout,
 }
@@ -56,12 +58,9 @@ impl<R: Read + Seek> TiffFile<R> {
         let seek = input.reader.seek(SeekFrom::Start(0));
         seek.map_err(|error| io_error(&input.path, error))?;
         let Input { reader, path, length } = input;
-        let mut limits = Limits::default();
-        // What a page may take is decided in `justify`, which knows what the file holds.
-        limits.decoding_buffer_size = usize::try_from(MAX_BYTES).unwrap_or(usize::MAX);
-        limits.intermediate_buffer_size = usize::try_from(length).unwrap_or(usize::MAX);
-        limits.ifd_value_size = limits.intermediate_buffer_size.min(METADATA_BYTES);
-        let mut decoder = Decoder::new(reader).map_err(|error| failed(&path, error))?.with_limits(limits);
+        // The first directory is read under the crate's own limits: lists of tags may reserve 256 MB for a moment.
+        let decoder = Decoder::new(reader).map_err(|error| failed(&path, error))?;
+        let mut decoder = decoder.with_limits(limits(length, tag_bytes(length)));
         let mut notes = Vec::new();
         let directories = list_pages(&mut decoder, &path, &mut notes)?;
         let first = *directories.first().expect("the list is never empty");
@@ -94,12 +93,21 @@ impl<R: Read + Seek> TiffFile<R> {
             header.pages = images;
             pages = Layout::Contiguous(offset);
         }
-        Ok(Self { path, length, decoder, header, pages })
+        Ok(Self { path, length, decoder: Some(decoder), header, pages })
+    }
+
+    fn decoder(&mut self) -> &mut Decoder<R> {
+        self.decoder.as_mut().expect("the decoder is put back wherever it is taken")
+    }
+
+    fn set_limits(&mut self, bytes: usize) {
+        let limits = limits(self.length, bytes);
+        self.decoder = self.decoder.take().map(|decoder| decoder.with_limits(limits));
     }
 
     fn read_directory(&mut self, index: usize) -> Result<Array2<f32>, ReadError> {
         let path = self.path.clone();
-        let decoder = &mut self.decoder;
+        let decoder = self.decoder();
         decoder.seek_to_image(index).map_err(|error| failed(&path, error))?;
         let (columns, rows) = decoder.dimensions().map_err(|error| failed(&path, error))?;
         let sample = sample_type(decoder, &path)?;
@@ -107,10 +115,15 @@ impl<R: Read + Seek> TiffFile<R> {
         check_limits(&path, u64::from(columns), u64::from(rows), count.saturating_mul(sample.bytes()))?;
         check_color(&path, decoder.colortype().map_err(|error| failed(&path, error))?)?;
         let planar = first_value(decoder, Tag::PlanarConfiguration) == Some(2);
-        justify(decoder, &path, self.length, (columns, rows), (count, sample, planar))?;
+        let bytes = u64::from(columns) * u64::from(rows) * count * sample.bytes();
+        let length = self.length;
+        justify(self.decoder(), &path, length, (columns, rows), (count, sample, planar))?;
 
         let mut result = DecodingResult::U8(Vec::new());
-        decoder.read_image_to_buffer(&mut result).map_err(|error| failed(&path, error))?;
+        self.set_limits(usize::try_from(bytes).unwrap_or(usize::MAX));
+        let read = self.decoder().read_image_to_buffer(&mut result);
+        self.set_limits(tag_bytes(length));
+        read.map_err(|error| failed(&path, error))?;
         let values = to_f32(result);
         let (shape, count) = ((rows as usize, columns as usize), count as usize);
         if values.len() != shape.0 * shape.1 * count {
@@ -125,17 +138,18 @@ impl<R: Read + Seek> TiffFile<R> {
         let Header { rows, columns, sample, byte_order, .. } = self.header;
         let bytes = rows as u64 * columns as u64 * sample.bytes();
         let mut buffer = samples::reserve(&self.path, bytes)?;
-        let reader = self.decoder.inner();
+        let path = self.path.clone();
+        let reader = self.decoder().inner();
         let read = reader
             .seek(SeekFrom::Start(first + page as u64 * bytes))
             .and_then(|_| reader.by_ref().take(bytes).read_to_end(&mut buffer));
-        read.map_err(|source| io_error(&self.path, source))?;
+        read.map_err(|source| io_error(&path, source))?;
         if buffer.len() as u64 != bytes {
-            let (path, promised) = (self.path.clone(), format!("image {page} of a stack"));
+            let promised = format!("image {page} of a stack");
             return Err(ReadError::Truncated { path, promised, needed: bytes, held: buffer.len() as u64 });
         }
         let values = samples::decode(&buffer, sample, byte_order);
-        samples::grey(&self.path, (rows, columns), values, Channels::Interleaved(1))
+        samples::grey(&path, (rows, columns), values, Channels::Interleaved(1))
     }
 }
 
@@ -157,6 +171,20 @@ impl<R: Read + Seek + std::fmt::Debug> Pages for TiffFile<R> {
             Layout::Contiguous(first) => self.read_contiguous(*first, page),
         }
     }
+}
+
+/// What the decoder may take: `bytes` for an image or for the values of a tag.
+fn limits(length: u64, bytes: usize) -> Limits {
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = bytes;
+    limits.intermediate_buffer_size = usize::try_from(length).unwrap_or(usize::MAX);
+    limits.ifd_value_size = limits.intermediate_buffer_size.min(METADATA_BYTES);
+    limits
+}
+
+/// Bytes that the values of a tag may take in memory, where one of a byte takes a whole `Value`.
+fn tag_bytes(length: u64) -> usize {
+    usize::try_from(length).unwrap_or(usize::MAX).min(METADATA_BYTES).saturating_mul(size_of::<Value>())
 }
 
 /// Walks the chain of directories; what is damaged or goes in a circle ends it with a note.
