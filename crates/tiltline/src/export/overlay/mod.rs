@@ -152,12 +152,12 @@ impl Layout {
 
     /// Width of a detected line on the canvas.
     fn thin_stroke(&self) -> f64 {
-        0.6 * self.dot as f64
+        0.55 * self.stroke()
     }
 
-    /// Width of a matched line on the canvas.
+    /// Width of a matched line on the canvas: no wider than the lines it lies on.
     fn stroke(&self) -> f64 {
-        1.1 * self.dot as f64
+        (0.5 * self.dot as f64).max(1.5 * self.zoom.factor()).max(2.0)
     }
 }
 
@@ -248,7 +248,7 @@ fn draw_curves(canvas: &mut Canvas, reconstruction: &Reconstruction, view: View,
             let doubtful = a.flag != Flag::Ok || b.flag != Flag::Ok;
             // A dash and a gap of the same length where the depth was not measured well.
             if !doubtful || ((along / dash) as usize).is_multiple_of(2) {
-                casing.piece(ends, layout.stroke() + layout.dot as f64, CASING);
+                casing.piece(ends, 1.5 * layout.stroke(), CASING);
                 strokes.piece(ends, layout.stroke(), scale.colour(0.5 * (a.position.z + b.position.z)));
             }
             along += (ends[1] - ends[0]).norm();
@@ -352,7 +352,7 @@ fn draw_legend(canvas: &mut Canvas, layout: &Layout) {
             if index == 0 {
                 strokes.piece(ends, layout.thin_stroke(), DETECTED);
             } else if index == 1 || (piece / 6) % 2 == 0 {
-                casing.piece(ends, layout.stroke() + dot as f64, CASING);
+                casing.piece(ends, 1.5 * layout.stroke(), CASING);
                 strokes.piece(ends, layout.stroke(), viridis(piece as f64 / pieces as f64));
             }
         }
