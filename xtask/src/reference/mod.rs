@@ -1,6 +1,7 @@
 //! Comparisons with independent implementations: `cargo xtask reference [TOPIC...]`, one file a topic.
 
 mod formats;
+mod readers;
 mod sgbm;
 mod sift;
 
@@ -11,7 +12,7 @@ use crate::venv::Venv;
 /// A topic's name and what it runs.
 type Topic = (&'static str, fn(&Venv) -> Result<()>);
 
-const TOPICS: &[Topic] = &[("formats", formats::run), ("sgbm", sgbm::run), ("sift", sift::run)];
+const TOPICS: &[Topic] = &[("formats", formats::run), ("readers", readers::run), ("sgbm", sgbm::run), ("sift", sift::run)];
 
 /// Runs the named topics, or all.
 pub fn run(names: &[String]) -> Result<()> {
