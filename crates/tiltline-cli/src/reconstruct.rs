@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::time::Instant;
 
-use miette::{IntoDiagnostic, Result, WrapErr, miette};
+use miette::{IntoDiagnostic, Result, miette};
 use tiltline::export;
 use tiltline::geometry::TiltPair;
-use tiltline::io::read_micrograph;
-use tiltline::io::tilts::parse_tilts;
+use tiltline::io::{Found, Reading, parse_tilts, read_micrograph_with};
 use tiltline::matching::ClassicalMatcher;
-use tiltline::micrograph::{Micrograph, StereoPair};
+use tiltline::micrograph::StereoPair;
 use tiltline::pipeline;
 use tiltline::progress::{Event, Stage};
 use tiltline::refine::Refinement;
@@ -21,7 +20,7 @@ use crate::args::{Lines, Reconstruct, Refine};
 use crate::config::{Config, RunRecord, run_toml};
 use crate::interrupt;
 use crate::progress::Display;
-use crate::summary::Summary;
+use crate::summary::{Provenance, Summary};
 
 /// Runs the command.
 pub fn run(flags: &Reconstruct) -> Result<()> {
@@ -35,7 +34,7 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
             seconds.lock().expect("no thread panics while it holds the lock").insert(stage.word(), time);
         }
     };
-    let (pair, mut warnings) = timed(&progress, Stage::Read, || read_pair(flags, &mut config))?;
+    let (pair, provenance, mut warnings) = timed(&progress, Stage::Read, || read_pair(flags, &mut config))?;
     let sources = [pair.left.source.clone(), pair.right.source.clone()];
     let settings = &config.settings;
     let detector = RidgeDetector { settings: settings.ridge.clone() };
@@ -55,7 +54,7 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     let extra = [("run.toml", run_toml(&config, &record)?.into_bytes())];
     timed(&progress, Stage::Export, || interrupt::write_all(&result, &extra, &flags.output, flags.force))?;
     display.clear();
-    let summary = Summary::of(&result);
+    let summary = Summary::of(&result, provenance);
     if flags.json {
         println!("{}", serde_json::to_string_pretty(&summary).into_diagnostic()?);
     } else {
@@ -114,16 +113,29 @@ fn resolve(flags: &Reconstruct) -> Result<Config> {
     Ok(config)
 }
 
-/// Both images with their tilts and pixel size; what the files said goes into the record.
-fn read_pair(flags: &Reconstruct, config: &mut Config) -> Result<(StereoPair, Vec<Warning>)> {
-    let read = |spec: &str| read_micrograph(spec).into_diagnostic().wrap_err_with(|| format!("cannot read {spec}"));
-    let (mut left, mut right) = (read(&flags.left)?, read(&flags.right)?);
+/// Both images with their tilts and pixel size, where those came from, and doubts; what the files said goes into the
+/// record.
+fn read_pair(flags: &Reconstruct, config: &mut Config) -> Result<(StereoPair, Provenance, Vec<Warning>)> {
+    let options = &config.settings.read;
+    let (left, right) = (read_micrograph_with(&flags.left, options), read_micrograph_with(&flags.right, options));
+    let (mut left, mut right) = (left.into_diagnostic()?, right.into_diagnostic()?);
+    let mut warnings = std::mem::take(&mut left.warnings);
+    warnings.append(&mut right.warnings);
     let acquisition = &mut config.acquisition;
-    let tilts_deg = match acquisition.tilts_deg {
-        Some(tilts) => tilts,
-        None => [tilt_of(&left)?, tilt_of(&right)?],
+    let given = "as given".to_owned();
+    let (tilts_deg, tilts_from) = match acquisition.tilts_deg {
+        Some(tilts) => (tilts, given.clone()),
+        None => {
+            let [a, b] = [tilt_of(&left)?, tilt_of(&right)?];
+            ([a.value, b.value], a.origin.clone())
+        }
     };
     acquisition.tilts_deg = Some(tilts_deg);
+    let pixel_size_from = match acquisition.pixel_size_nm {
+        Some(_) => Some(given),
+        None => left.pixel_size_nm.as_ref().map(|found| found.origin.clone()),
+    };
+    let (mut left, mut right) = (left.micrograph, right.micrograph);
     if let Some(size) = acquisition.pixel_size_nm {
         left.pixel_size_nm = Some(size);
         right.pixel_size_nm = Some(size);
@@ -131,12 +143,17 @@ fn read_pair(flags: &Reconstruct, config: &mut Config) -> Result<(StereoPair, Ve
     acquisition.pixel_size_nm = left.pixel_size_nm;
     let tilts = TiltPair::from_degrees(tilts_deg[0], tilts_deg[1]);
     let axis_deg = *acquisition.tilt_axis_deg.get_or_insert(0.0);
-    StereoPair::new(left, right, tilts, axis_deg.to_radians()).into_diagnostic()
+    let (pair, doubts) = StereoPair::new(left, right, tilts, axis_deg.to_radians()).into_diagnostic()?;
+    warnings.extend(doubts);
+    Ok((pair, Provenance { tilts_deg, tilts_from, pixel_size_from }, warnings))
 }
 
-fn tilt_of(image: &Micrograph) -> Result<f64> {
-    image.tilt_rad.map(f64::to_degrees).ok_or_else(|| {
-        miette!("the tilt of {} is not in its file; give both, for example --tilts -4,4", image.source.path)
+fn tilt_of(reading: &Reading) -> Result<&Found<f64>> {
+    reading.tilt_deg.as_ref().ok_or_else(|| {
+        miette!(
+            "the tilt of {} is not in its file; give both tilts, for example --tilts -4,4",
+            reading.micrograph.source.path
+        )
     })
 }
 

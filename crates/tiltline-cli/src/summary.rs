@@ -18,8 +18,8 @@ pub struct Summary {
     pub unit: LengthUnit,
     /// Side of a pixel in nm; `null` where unknown.
     pub pixel_size_nm: Option<f64>,
-    /// Angle from the left view to the right one, degrees.
-    pub phi_deg: f64,
+    /// Tilts, and where they and the pixel size came from.
+    pub provenance: Provenance,
     /// How the images were made to match.
     pub rectification: Rectification,
     /// Detected lines in the left and the right image.
@@ -52,6 +52,17 @@ pub struct Summary {
     pub warnings: Vec<Warning>,
 }
 
+/// Where the numbers about the pair came from.
+#[derive(Debug, Serialize)]
+pub struct Provenance {
+    /// Tilts of left and right, degrees.
+    pub tilts_deg: [f64; 2],
+    /// Where the tilts came from.
+    pub tilts_from: String,
+    /// Where the pixel size came from; `null` where it is unknown.
+    pub pixel_size_from: Option<String>,
+}
+
 /// Lines of one view.
 #[derive(Debug, Serialize)]
 pub struct LineCount {
@@ -63,7 +74,7 @@ pub struct LineCount {
 
 impl Summary {
     /// The summary of a result.
-    pub fn of(result: &Reconstruction) -> Self {
+    pub fn of(result: &Reconstruction, provenance: Provenance) -> Self {
         let points: Vec<_> = result.curves.iter().flat_map(|curve| &curve.points).collect();
         let share = |flag: Flag| {
             points.iter().filter(|point| point.flag == flag).count() as f64 / points.len().max(1) as f64
@@ -81,7 +92,7 @@ impl Summary {
         Self {
             unit: result.frame.unit,
             pixel_size_nm: result.pair.pixel_size_nm(),
-            phi_deg: result.pair.tilts.phi().to_degrees(),
+            provenance,
             rectification: result.rectified.rectification.clone(),
             lines: [0, 1].map(|view| count(&result.traces[view])),
             curves: result.curves.len(),
@@ -113,6 +124,13 @@ impl fmt::Display for Summary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unit = self.unit.word();
         let mut row = |name: &str, text: String| writeln!(formatter, "{name:<15} {text}");
+        let Provenance { tilts_deg: [left, right], tilts_from, pixel_size_from } = &self.provenance;
+        let size = match (self.pixel_size_nm, pixel_size_from) {
+            (Some(nm), Some(origin)) => format!("{nm} nm ({origin})"),
+            (Some(nm), None) => format!("{nm} nm"),
+            (None, _) => "of unknown size: lengths are in px".into(),
+        };
+        row("pair", format!("tilts {left} and {right}\u{b0} ({tilts_from}); pixels {size}"))?;
         let r = &self.rectification;
         row(
             "rectification",

@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::io::ReadOptions;
 use crate::matching::MatchSettings;
 use crate::measure::MeasureSettings;
 use crate::rectify::RectifySettings;
@@ -18,6 +19,8 @@ pub struct Settings {
     pub seed: u64,
     /// Depth sign: `true` reports -Z, for a user who knows that the tilts' sense is the other one.
     pub flip_depth: bool,
+    /// How files are read where their format leaves a choice.
+    pub read: ReadOptions,
     /// Making epipolar lines rows.
     pub rectify: RectifySettings,
     /// The classical line detector.
