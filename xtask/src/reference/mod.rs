@@ -1,5 +1,7 @@
 //! Comparisons with independent implementations: `cargo xtask reference [TOPIC...]`, one file a topic.
 
+mod trace;
+
 use miette::{Result, miette};
 
 use crate::venv::Venv;
@@ -7,7 +9,7 @@ use crate::venv::Venv;
 /// A topic's name and what it runs.
 type Topic = (&'static str, fn(&Venv) -> Result<()>);
 
-const TOPICS: &[Topic] = &[];
+const TOPICS: &[Topic] = &[("trace", trace::run)];
 
 /// Runs the named topics, or all.
 pub fn run(names: &[String]) -> Result<()> {
