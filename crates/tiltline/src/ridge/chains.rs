@@ -185,8 +185,8 @@ impl Judge<'_> {
         let sides: Vec<[f64; 2]> = order.iter().map(|index| self.side_contrasts(&points[*index], scale_of)).collect();
         let left = running_mean(&sides.iter().map(|side| side[0]).collect::<Vec<_>>(), WINDOW);
         let right = running_mean(&sides.iter().map(|side| side[1]).collect::<Vec<_>>(), WINDOW);
-        let local: Vec<f64> = order.iter().map(|index| self.local_response(&points[*index])).collect();
-        let local = running_median(&local, WINDOW / 2);
+        let local = |index: &usize| self.local_response(&points[*index], scale_of);
+        let local = running_median(&order.iter().map(local).collect::<Vec<_>>(), WINDOW / 2);
         // The elongated kernels see a line before it begins: ends without contrast of their own are cut.
         let (first, last) = if closed { (0, order.len() - 1) } else { trimmed(&local) };
         if last < first + 4 {
@@ -198,7 +198,7 @@ impl Judge<'_> {
         let width_px = self.width_px(points, &order[span.clone()]);
         let elongation = length_px / width_px;
         // Blobs come out as chains about twice as long as wide.
-        let doubt_of_blob = ramp(elongation, 1.5, 3.5);
+        let doubt_of_blob = ramp(elongation, 2.0, 4.0);
         let by_length = weight_of_length(length_px);
         let by_width = 1.0 - ramp(width_px, self.widest_px, 1.3 * self.widest_px);
         let by_streak = if self.is_streak(&positions) { 0.0 } else { 1.0 };
@@ -207,7 +207,9 @@ impl Judge<'_> {
             let point = &points[*index];
             f64::from(point.significance) * (local / f64::from(point.response).max(1e-12)).clamp(0.0, 1.0)
         };
-        let significance: Vec<f64> = order.iter().zip(&running_median(&local, WINDOW)).map(supported).collect();
+        let alone: Vec<f64> =
+            order.iter().map(|index| self.local_response(&points[*index], points[*index].scale)).collect();
+        let significance: Vec<f64> = order.iter().zip(&running_median(&alone, WINDOW)).map(supported).collect();
         let trust = left[span.clone()].iter().zip(&right[span.clone()]).map(|(left, right)| {
             let two_sided = ramp(left.min(*right) / left.max(*right).max(1e-9), ONE_SIDED[0], ONE_SIDED[1]);
             two_sided * doubt_of_blob * by_width * by_streak
@@ -217,9 +219,9 @@ impl Judge<'_> {
         Some(Chain { points: order[span].to_vec(), closed, significance, trust, width_px })
     }
 
-    /// Response at a point alone, without the elongated kernel.
-    fn local_response(&self, point: &RidgePoint) -> f64 {
-        let scale = &self.scales[point.scale];
+    /// Response of a scale at a point alone, without the elongated kernel.
+    fn local_response(&self, point: &RidgePoint, scale: usize) -> f64 {
+        let scale = &self.scales[scale];
         let [left, centre, right] = scale.across(point.position, point.across(), scale.spacing());
         f64::from(self.sign * (left + right - 2.0 * centre)) * scale.sigma_on_grid().powi(2)
     }
@@ -338,10 +340,11 @@ fn trimmed(contrast: &[f64]) -> (usize, usize) {
     let count = contrast.len();
     let mut sorted = contrast.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let typical = sorted[count / 2];
+    // Of a short chain across a blob most points may be its tails: the peak counts too.
+    let least = (0.4 * sorted[count / 2]).max(0.15 * sorted[count - 1]);
     let belongs = |place: usize, inward: &dyn Fn(usize) -> usize| {
         let further = (4..=14).map(|step| contrast[inward(step)]).sum::<f64>() / 11.0;
-        contrast[place] > (0.55 * further).max(0.4 * typical)
+        contrast[place] > least.max(0.55 * further)
     };
     let first = (0..count).find(|&place| belongs(place, &|step| (place + step).min(count - 1)));
     let last = (0..count).rfind(|&place| belongs(place, &|step| place.saturating_sub(step)));

@@ -6,6 +6,7 @@
 
 mod chains;
 mod oriented;
+mod padded;
 mod paint;
 mod points;
 mod prepare;

@@ -9,7 +9,7 @@
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use crate::filter::mirror;
+use crate::ridge::padded::Padded;
 use crate::ridge::scales::Scale;
 
 /// Number of tangent directions in half a turn.
@@ -66,34 +66,6 @@ fn taps(direction: usize, sigma: f64) -> Vec<(isize, isize, f32)> {
     let sum: f32 = taps.iter().map(|tap| tap.2).sum();
     taps.iter_mut().for_each(|tap| tap.2 /= sum);
     taps
-}
-
-/// The image with a mirrored margin, so that rows can be read at any offset of the kernels.
-struct Padded {
-    values: Vec<f32>,
-    stride: usize,
-    margin: usize,
-}
-
-impl Padded {
-    fn new(image: &Array2<f32>, margin: usize) -> Self {
-        let (height, width) = image.dim();
-        let stride = width + 2 * margin;
-        let mut values = vec![0.0; stride * (height + 2 * margin)];
-        values.par_chunks_mut(stride).enumerate().for_each(|(row, out)| {
-            let row = mirror(row as isize - margin as isize, height);
-            for (column, value) in out.iter_mut().enumerate() {
-                *value = image[[row, mirror(column as isize - margin as isize, width)]];
-            }
-        });
-        Self { values, stride, margin }
-    }
-
-    /// `count` values of a row from a column on; both may lie in the margin.
-    fn row(&self, row: isize, column: isize, count: usize) -> &[f32] {
-        let start = (row + self.margin as isize) as usize * self.stride + (column + self.margin as isize) as usize;
-        &self.values[start..start + count]
-    }
 }
 
 /// One direction's kernels for one scale.
@@ -298,8 +270,10 @@ mod tests {
                 let off = (x * sin - y * cos).abs().asin().to_degrees();
                 // Directions are 15 degrees apart.
                 assert!(off <= 7.6, "{degrees}: off by {off}");
-                assert!(response.significance[[48, 48]] > 20.0);
-                assert!(respond(scale, -1.0, &far).significance[[48, 48]] < 0.01);
+                let dark = response.significance[[48, 48]];
+                assert!(dark > 20.0);
+                // Kernels that lie across the line see a little of its bright flanks.
+                assert!(respond(scale, -1.0, &far).significance[[48, 48]] < 0.1 * dark);
             }
         }
     }

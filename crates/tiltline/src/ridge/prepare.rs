@@ -7,7 +7,8 @@
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use crate::filter::{gaussian_blur, mirror, percentiles};
+use crate::filter::gaussian_blur;
+use crate::ridge::padded::Padded;
 
 /// Largest share of the image that a flat region may have to be taken for a border without data; a flat background
 /// of a drawn image is larger.
@@ -48,7 +49,9 @@ pub(super) fn prepare(image: &Array2<f32>, rows_rad: f64) -> Prepared {
 fn data_mask(image: &Array2<f32>) -> Array2<bool> {
     let (height, width) = image.dim();
     let mut has_data = image.mapv(f32::is_finite);
-    let [low, high] = percentiles(image, [0.0, 1.0]);
+    let finite = image.iter().filter(|value| value.is_finite());
+    let [low, high] =
+        finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], value| [low.min(*value), high.max(*value)]);
     let darkest = low + 0.02 * (high - low);
     let flat = |row: usize, column: usize| {
         let value = image[[row, column]];
@@ -172,9 +175,10 @@ fn streaks(image: &Array2<f32>, has_data: &Array2<bool>, direction_rad: f64) -> 
     sharp.zip_mut_with(has_data, |value, inside| {
         *value = if *inside { value.clamp(-limit, limit) } else { 0.0 };
     });
+    let padded = Padded::new(&sharp, 2 * STREAK_SIGMA_PX as usize + 1);
     let row_step = (height / 96).max(1);
     let scatter = |angle: f64| {
-        let mean = mean_along(&sharp, angle, row_step);
+        let mean = mean_along(&padded, [height, width], angle, row_step);
         let mut values: Vec<f32> = mean.iter().map(|value| value.abs()).collect();
         let middle = values.len() / 2;
         f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
@@ -182,7 +186,7 @@ fn streaks(image: &Array2<f32>, has_data: &Array2<bool>, direction_rad: f64) -> 
     let off = 8.0_f64.to_radians();
     let here = scatter(direction_rad);
     let aside = scatter(direction_rad + off).max(scatter(direction_rad - off));
-    (here > STREAK_RATIO * aside && here > 1e-6).then(|| mean_along(&sharp, direction_rad, 1))
+    (here > STREAK_RATIO * aside && here > 1e-6).then(|| mean_along(&padded, [height, width], direction_rad, 1))
 }
 
 fn median_absolute(image: &Array2<f32>, has_data: &Array2<bool>) -> Option<f32> {
@@ -197,8 +201,7 @@ fn median_absolute(image: &Array2<f32>, has_data: &Array2<bool>) -> Option<f32> 
 }
 
 /// Gaussian mean along a direction, on every `row_step`-th row.
-fn mean_along(image: &Array2<f32>, direction_rad: f64, row_step: usize) -> Array2<f32> {
-    let (height, width) = image.dim();
+fn mean_along(image: &Padded, [height, width]: [usize; 2], direction_rad: f64, row_step: usize) -> Array2<f32> {
     let (sin, cos) = direction_rad.sin_cos();
     // Steps of 2 px: streaks do not change faster than that along themselves.
     let reach = STREAK_SIGMA_PX as isize;
@@ -212,28 +215,15 @@ fn mean_along(image: &Array2<f32>, direction_rad: f64, row_step: usize) -> Array
     let sum: f32 = taps.iter().map(|tap| tap.2).sum();
     taps.iter_mut().for_each(|tap| tap.2 /= sum);
     let rows = height.div_ceil(row_step);
-    let pad = 2 * reach as usize + 1;
     let mut out = vec![0.0_f32; rows * width];
-    out.par_chunks_mut(width).enumerate().for_each_init(
-        || vec![0.0_f32; width + 2 * pad],
-        |padded, (index, out)| {
-            let row = (index * row_step) as isize;
-            let mut filled_row = None;
-            for &(down, right, weight) in &taps {
-                let source_row = mirror(row + down, height);
-                if filled_row != Some(source_row) {
-                    for (place, value) in padded.iter_mut().enumerate() {
-                        *value = image[[source_row, mirror(place as isize - pad as isize, width)]];
-                    }
-                    filled_row = Some(source_row);
-                }
-                let start = (pad as isize + right) as usize;
-                for (value, source) in out.iter_mut().zip(&padded[start..start + width]) {
-                    *value += weight * source;
-                }
+    out.par_chunks_mut(width).enumerate().for_each(|(index, out)| {
+        let row = (index * row_step) as isize;
+        for &(down, right, weight) in &taps {
+            for (value, source) in out.iter_mut().zip(image.row(row + down, right, width)) {
+                *value += weight * source;
             }
-        },
-    );
+        }
+    });
     Array2::from_shape_vec((rows, width), out).expect("the buffer has rows * width values")
 }
 
