@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p tiltline --example trace_image -- IMAGE.png OUT.png [dark|bright|auto] [SENSITIVITY]`
 //!
+//! `IMAGE.png` may be `scene:SEED:CONTRAST`: a rendered scene, whose true curves are then drawn in cyan.
+//!
 //! Red: traces; yellow dots: junctions; green: ends at the border; blue: free ends. Eight-bit grey PNG only.
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
@@ -17,13 +19,21 @@ use tiltline::micrograph::{Micrograph, View};
 use tiltline::pipeline::Detect;
 use tiltline::rectify::{Rectification, RectifiedPair};
 use tiltline::ridge::{LinePolarity, RidgeDetector};
-use tiltline::simulate::ViewSettings;
+use tiltline::simulate::{Scene, SceneSettings, ViewSettings, render};
 use tiltline::trace::{TraceSettings, trace};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [input, output] = &arguments[..2] else { panic!("usage: trace_image IMAGE.png OUT.png [dark|bright|auto]") };
-    let image = Micrograph::new(read_grey(input)).normalised();
+    let (image, truth) = match input.strip_prefix("scene:").and_then(|rest| rest.split_once(':')) {
+        Some((seed, contrast)) => {
+            let (seed, line_contrast) = (seed.parse().unwrap(), contrast.parse().unwrap());
+            let view = ViewSettings { seed, line_contrast, ..ViewSettings::default() };
+            let scene = Scene::random(&SceneSettings { seed, ..SceneSettings::default() });
+            (render(&scene, &view).normalised(), view.project_curves(&scene))
+        }
+        None => (Micrograph::new(read_grey(input)).normalised(), Vec::new()),
+    };
     let view = ViewSettings { shape: image.dim().into(), ..ViewSettings::default() };
     let rectification = Rectification::from_known_views(&view, &view);
     let pair = RectifiedPair { left: image.clone(), right: image.clone(), rectification };
@@ -53,7 +63,18 @@ fn main() {
         graph.traces.len(),
         graph.junctions.len(),
     );
-    draw(&image, &graph, output);
+    if !truth.is_empty() {
+        let traced: Vec<Point2> = graph.traces.iter().flat_map(|t| &t.points).map(|p| p.position).collect();
+        let (rows, columns) = image.dim();
+        let inside = |p: &&Point2| p.x >= 0.0 && p.y >= 0.0 && p.x < columns as f64 && p.y < rows as f64;
+        let truth: Vec<Point2> = truth.iter().flatten().filter(inside).copied().collect();
+        let near = |from: &[Point2], to: &[Point2]| {
+            let hits = from.iter().filter(|a| to.iter().any(|b| (*a - b).norm() <= 2.0)).count();
+            hits as f64 / from.len().max(1) as f64
+        };
+        println!("  completeness {:.3}, correctness {:.3} at 2 px", near(&truth, &traced), near(&traced, &truth));
+    }
+    draw(&image, &truth, &graph, output);
 }
 
 fn read_grey(path: &str) -> Array2<f32> {
@@ -65,7 +86,7 @@ fn read_grey(path: &str) -> Array2<f32> {
     Array2::from_shape_fn(shape, |(row, column)| f32::from(bytes[row * info.line_size + column]))
 }
 
-fn draw(image: &Array2<f32>, graph: &TraceGraph, path: &str) {
+fn draw(image: &Array2<f32>, truth: &[Vec<Point2>], graph: &TraceGraph, path: &str) {
     let (rows, columns) = (2 * image.nrows(), 2 * image.ncols());
     let mut canvas = vec![[0_u8; 3]; rows * columns];
     for (index, pixel) in canvas.iter_mut().enumerate() {
@@ -81,6 +102,9 @@ fn draw(image: &Array2<f32>, graph: &TraceGraph, path: &str) {
             }
         }
     };
+    for point in truth.iter().flatten() {
+        dot(*point, 0, [0, 230, 230]);
+    }
     for trace in &graph.traces {
         for pair in trace.points.windows(2) {
             for step in 0..3 {

@@ -6,7 +6,7 @@
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use crate::geometry::{Point2, Vector2, length2};
+use crate::geometry::{Point2, length2};
 use crate::ridge::points::RidgePoint;
 use crate::ridge::scales::Scale;
 
@@ -31,10 +31,19 @@ pub(super) struct Chain {
     pub points: Vec<usize>,
     /// Whether the last point links to the first.
     pub closed: bool,
-    /// Significance of the line at each point after all doubts.
-    pub strength: Vec<f64>,
+    /// Significance of the line at each point.
+    pub significance: Vec<f64>,
+    /// Trust that it is a line, from 0 (a step, a blob, a band, a streak) to 1, at each point.
+    pub trust: Vec<f64>,
     /// Full width at half maximum, px.
     pub width_px: f64,
+}
+
+impl Chain {
+    /// Significance less what is not trusted.
+    pub fn strengths(&self) -> impl Iterator<Item = f64> + '_ {
+        self.significance.iter().zip(&self.trust).map(|(significance, trust)| significance * trust)
+    }
 }
 
 /// What chains are judged by.
@@ -45,6 +54,8 @@ pub(super) struct Judge<'a> {
     pub sign: f32,
     /// Widest line, px FWHM.
     pub widest_px: f64,
+    /// Significance at which a line is taken for one.
+    pub half_significance: f64,
     /// Directions of streaks, radians.
     pub streaks_rad: &'a [f64],
 }
@@ -52,8 +63,15 @@ pub(super) struct Judge<'a> {
 /// Chains of linked points with their tangents turned along them.
 pub(super) fn chains(points: &mut [RidgePoint], shape: (usize, usize), judge: &Judge<'_>) -> Vec<Chain> {
     let links = link(points, shape);
-    let orders = walk(&links);
+    let mut orders = walk(&links);
+    orders.retain(|(order, _)| order.len() >= 5 && judge.may_count(points, order));
     for order in &orders {
+        orient(points, order);
+        // Across the chain's own direction, on one scale, so that the crest does not jump.
+        let scale = typical_scale(points, &order.0);
+        for &index in &order.0 {
+            points[index].refine(&judge.scales[scale]);
+        }
         orient(points, order);
     }
     let points = &*points;
@@ -68,8 +86,10 @@ fn link(points: &[RidgePoint], shape: (usize, usize)) -> Vec<[Option<usize>; 2]>
     for (index, point) in points.iter().enumerate() {
         at[point.pixel] = index as u32;
     }
-    let choice: Vec<[Option<usize>; 2]> =
-        (0..points.len()).into_par_iter().map(|index| [-1.0, 1.0].map(|sense| best(points, &at, index, sense))).collect();
+    let choice: Vec<[Option<usize>; 2]> = (0..points.len())
+        .into_par_iter()
+        .map(|index| [-1.0, 1.0].map(|sense| best(points, &at, index, sense)))
+        .collect();
     let mutual = |from: usize, to: usize| choice[to].contains(&Some(from));
     choice
         .iter()
@@ -152,21 +172,23 @@ fn orient(points: &mut [RidgePoint], (order, _): &(Vec<usize>, bool)) {
 }
 
 impl Judge<'_> {
+    /// Whether a chain could come to half the significance of the operating point: most chains are noise.
+    fn may_count(&self, points: &[RidgePoint], order: &[usize]) -> bool {
+        let significance: Vec<f64> = order.iter().map(|index| f64::from(points[*index].significance)).collect();
+        let best = running_mean(&significance, WINDOW).into_iter().fold(0.0, f64::max);
+        best * weight_of_length(1.2 * order.len() as f64) > 0.45 * self.half_significance
+    }
+
     /// Features and strength of a chain, without ends that do not belong to it; none for a chain that is too short.
     fn assess(&self, points: &[RidgePoint], (order, closed): (Vec<usize>, bool)) -> Option<Chain> {
-        if order.len() < 5 {
-            return None;
-        }
         let scale_of = typical_scale(points, &order);
         let sides: Vec<[f64; 2]> = order.iter().map(|index| self.side_contrasts(&points[*index], scale_of)).collect();
         let left = running_mean(&sides.iter().map(|side| side[0]).collect::<Vec<_>>(), WINDOW);
         let right = running_mean(&sides.iter().map(|side| side[1]).collect::<Vec<_>>(), WINDOW);
-        let local: Vec<f64> = running_mean(&sides.iter().map(|side| 0.5 * (side[0] + side[1])).collect::<Vec<_>>(), 2);
+        let local: Vec<f64> = order.iter().map(|index| self.local_response(&points[*index])).collect();
+        let local = running_median(&local, WINDOW / 2);
         // The elongated kernels see a line before it begins: ends without contrast of their own are cut.
-        let typical = median(&local);
-        let keep = |place: &usize| local[*place] > 0.4 * typical;
-        let (first, last) =
-            if closed { (0, order.len() - 1) } else { ((0..order.len()).find(keep)?, (0..order.len()).rfind(keep)?) };
+        let (first, last) = if closed { (0, order.len() - 1) } else { trimmed(&local) };
         if last < first + 4 {
             return None;
         }
@@ -177,32 +199,42 @@ impl Judge<'_> {
         let elongation = length_px / width_px;
         // Blobs come out as chains about twice as long as wide.
         let doubt_of_blob = ramp(elongation, 1.5, 3.5);
-        let by_length = (length_px / PLAIN_LENGTH_PX).sqrt().clamp(0.5, 1.3);
+        let by_length = weight_of_length(length_px);
         let by_width = 1.0 - ramp(width_px, self.widest_px, 1.3 * self.widest_px);
         let by_streak = if self.is_streak(&positions) { 0.0 } else { 1.0 };
-        let significance: Vec<f64> = order.iter().map(|index| f64::from(points[*index].significance)).collect();
-        let strength = running_mean(&significance, WINDOW)
-            .iter()
-            .zip(left.iter().zip(&right))
-            .map(|(mean, (left, right))| {
-                let two_sided = ramp(left.min(*right) / left.max(*right).max(1e-9), ONE_SIDED[0], ONE_SIDED[1]);
-                mean * two_sided * doubt_of_blob * by_length * by_width * by_streak
-            })
-            .collect::<Vec<_>>()[span.clone()]
-            .to_vec();
-        Some(Chain { points: order[span].to_vec(), closed, strength, width_px })
+        // A strong spot reaches far along the elongated kernels: what counts is what most of the places there support.
+        let supported = |(index, local): (&usize, &f64)| {
+            let point = &points[*index];
+            f64::from(point.significance) * (local / f64::from(point.response).max(1e-12)).clamp(0.0, 1.0)
+        };
+        let significance: Vec<f64> = order.iter().zip(&running_median(&local, WINDOW)).map(supported).collect();
+        let trust = left[span.clone()].iter().zip(&right[span.clone()]).map(|(left, right)| {
+            let two_sided = ramp(left.min(*right) / left.max(*right).max(1e-9), ONE_SIDED[0], ONE_SIDED[1]);
+            two_sided * doubt_of_blob * by_width * by_streak
+        });
+        let trust = trust.collect();
+        let significance = running_mean(&significance, WINDOW)[span.clone()].iter().map(|z| z * by_length).collect();
+        Some(Chain { points: order[span].to_vec(), closed, significance, trust, width_px })
+    }
+
+    /// Response at a point alone, without the elongated kernel.
+    fn local_response(&self, point: &RidgePoint) -> f64 {
+        let scale = &self.scales[point.scale];
+        let [left, centre, right] = scale.across(point.position, point.across(), scale.spacing());
+        f64::from(self.sign * (left + right - 2.0 * centre)) * scale.sigma_on_grid().powi(2)
     }
 
     /// By how much the line stands out against its left and its right side (positive for the wanted polarity).
     fn side_contrasts(&self, point: &RidgePoint, scale: usize) -> [f64; 2] {
         let scale = &self.scales[scale];
-        let across = Vector2::new(-point.tangent.y, point.tangent.x);
+        let across = point.across();
         let mut contrasts = [0.0; 2];
         for along in [-1.0, 0.0, 1.0] {
             let here = point.position + point.tangent * (along * scale.sigma_px);
-            let [left, centre, right] = scale.across(here, across, 2.2 * scale.sigma_px);
-            contrasts[0] += f64::from(self.sign * (left - centre)) / 3.0;
-            contrasts[1] += f64::from(self.sign * (right - centre)) / 3.0;
+            // A neighbouring line may hide the farther flank, but not the foot of a step.
+            let [far, near] = [2.2, 1.4].map(|reach| scale.across(here, across, reach * scale.sigma_px));
+            contrasts[0] += f64::from((self.sign * (far[0] - far[1])).max(self.sign * (near[0] - near[1]))) / 3.0;
+            contrasts[1] += f64::from((self.sign * (far[2] - far[1])).max(self.sign * (near[2] - near[1]))) / 3.0;
         }
         contrasts
     }
@@ -221,8 +253,7 @@ impl Judge<'_> {
                     .step_by(stride)
                     .map(|&index| {
                         let point = &points[index];
-                        let across = Vector2::new(-point.tangent.y, point.tangent.x);
-                        let [left, centre, right] = scale.across(point.position, across, scale.sigma_px);
+                        let [left, centre, right] = scale.across(point.position, point.across(), scale.sigma_px);
                         f64::from(self.sign * (left + right - 2.0 * centre))
                     })
                     .sum();
@@ -263,7 +294,7 @@ impl Judge<'_> {
         let Some(typical) = typical_width_px(chains) else { return };
         for chain in chains {
             let doubt = 1.0 - ramp(chain.width_px, 2.2 * typical + 1.0, 3.0 * typical + 1.0);
-            chain.strength.iter_mut().for_each(|strength| *strength *= doubt);
+            chain.trust.iter_mut().for_each(|trust| *trust *= doubt);
         }
     }
 }
@@ -273,7 +304,7 @@ pub(super) fn typical_width_px(chains: &[Chain]) -> Option<f64> {
     let mut widths: Vec<(f64, f64)> = chains
         .iter()
         .map(|chain| {
-            let weight: f64 = chain.strength.iter().filter(|strength| **strength > 6.0).map(|s| s.min(30.0)).sum();
+            let weight: f64 = chain.strengths().filter(|strength| *strength > 6.0).map(|s| s.min(30.0)).sum();
             (chain.width_px, weight)
         })
         .filter(|(_, weight)| *weight > 0.0)
@@ -281,17 +312,40 @@ pub(super) fn typical_width_px(chains: &[Chain]) -> Option<f64> {
     widths.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * widths.iter().map(|width| width.1).sum::<f64>();
     let mut sum = 0.0;
-    widths.iter().find(|width| {
-        sum += width.1;
-        sum >= half
-    })
-    .map(|width| width.0)
+    widths
+        .iter()
+        .find(|width| {
+            sum += width.1;
+            sum >= half
+        })
+        .map(|width| width.0)
 }
 
 fn typical_scale(points: &[RidgePoint], order: &[usize]) -> usize {
     let mut scales: Vec<usize> = order.iter().map(|index| points[*index].scale).collect();
     scales.sort_unstable();
     scales[scales.len() / 2]
+}
+
+/// What the significance of a chain counts for.
+fn weight_of_length(length_px: f64) -> f64 {
+    (length_px / PLAIN_LENGTH_PX).sqrt().clamp(0.5, 1.3)
+}
+
+/// First and last place of a chain without the ends whose contrast is small beside that of the whole chain or of the
+/// points further in.
+fn trimmed(contrast: &[f64]) -> (usize, usize) {
+    let count = contrast.len();
+    let mut sorted = contrast.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let typical = sorted[count / 2];
+    let belongs = |place: usize, inward: &dyn Fn(usize) -> usize| {
+        let further = (4..=14).map(|step| contrast[inward(step)]).sum::<f64>() / 11.0;
+        contrast[place] > (0.55 * further).max(0.4 * typical)
+    };
+    let first = (0..count).find(|&place| belongs(place, &|step| (place + step).min(count - 1)));
+    let last = (0..count).rfind(|&place| belongs(place, &|step| place.saturating_sub(step)));
+    (first.unwrap_or(count), last.unwrap_or(0))
 }
 
 /// 0 below `low`, 1 above `high`, linear between.
@@ -309,20 +363,28 @@ fn running_mean(values: &[f64], half: usize) -> Vec<f64> {
         .collect()
 }
 
+/// Medians over up to `2 half + 1` neighbours.
+fn running_median(values: &[f64], half: usize) -> Vec<f64> {
+    let mut near = Vec::with_capacity(2 * half + 1);
+    (0..values.len())
+        .map(|index| {
+            near.clear();
+            near.extend_from_slice(&values[index.saturating_sub(half)..(index + half + 1).min(values.len())]);
+            near.sort_by(f64::total_cmp);
+            near[near.len() / 2]
+        })
+        .collect()
+}
+
 fn smooth(points: &[Point2]) -> Vec<Point2> {
     let mean = |pick: fn(&Point2) -> f64| running_mean(&points.iter().map(pick).collect::<Vec<_>>(), 2);
     mean(|point| point.x).into_iter().zip(mean(|point| point.y)).map(|(x, y)| Point2::new(x, y)).collect()
 }
 
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Vector2;
 
     fn point(x: f64, y: f64, tangent: (f64, f64)) -> RidgePoint {
         RidgePoint {
@@ -330,6 +392,7 @@ mod tests {
             position: Point2::new(x, y),
             tangent: Vector2::new(tangent.0, tangent.1),
             significance: 10.0,
+            response: 0.1,
             scale: 0,
         }
     }

@@ -22,8 +22,8 @@ use crate::rectify::RectifiedPair;
 /// Significance (standard deviations of the noise of the responses) at which the line probability is 1/2 at
 /// sensitivity 1. The largest response to pure noise in a megapixel is about 6, but is short.
 const HALF_SIGNIFICANCE: f64 = 6.0;
-/// Polarity is decided on images reduced to at most this many pixels.
-const POLARITY_PIXELS: usize = 300_000;
+/// Polarity is decided on images halved until they have at most this many pixels, but not more than twice.
+const POLARITY_PIXELS: usize = 80_000;
 /// FWHM of a Gaussian in units of its standard deviation.
 const FWHM: f64 = 2.354_820_045;
 
@@ -83,8 +83,10 @@ impl RidgeDetector {
         let mut settings = self.settings.clone();
         let reduced = View::BOTH.map(|view| {
             let mut image = pair.view(view).clone();
-            while image.len() > POLARITY_PIXELS {
-                image = scales::halve(&image);
+            for _ in 0..2 {
+                if image.len() > POLARITY_PIXELS {
+                    image = scales::halve(&image);
+                }
             }
             image
         });
@@ -118,13 +120,15 @@ struct Found {
 
 fn find(image: &Array2<f32>, polarity: LinePolarity, rows_rad: f64, settings: &RidgeSettings) -> Found {
     let shape = image.dim();
-    let [narrowest, widest] = [settings.width_px[0].min(settings.width_px[1]), settings.width_px[0].max(settings.width_px[1])];
+    let [narrowest, widest] =
+        [settings.width_px[0].min(settings.width_px[1]), settings.width_px[0].max(settings.width_px[1])];
     let (sigmas, detecting) = sigmas_px(narrowest, widest);
     let mut found =
         Found { probability: Array2::zeros(shape), line_width_px: narrowest.max(3.0).min(widest), evidence: 0.0 };
     if image.nrows() < 8 || image.ncols() < 8 {
         return found;
     }
+    let half_significance = HALF_SIGNIFICANCE / settings.sensitivity.max(1e-3);
     let sign = if polarity == LinePolarity::Bright { -1.0 } else { 1.0 };
     let prepared = prepare::prepare(image, rows_rad);
     let scales = scales::scale_space(&prepared.image, &sigmas);
@@ -133,16 +137,21 @@ fn find(image: &Array2<f32>, polarity: LinePolarity, rows_rad: f64, settings: &R
         strongest.add(index, scale, &oriented::respond(scale, sign, &prepared.distance_to_gap));
     }
     let mut points = strongest.points(&scales, &prepared.distance_to_gap);
-    let judge = chains::Judge { scales: &scales, sign, widest_px: widest, streaks_rad: &prepared.streaks_rad };
+    let judge = chains::Judge {
+        scales: &scales,
+        sign,
+        widest_px: widest,
+        half_significance,
+        streaks_rad: &prepared.streaks_rad,
+    };
     let chains = chains::chains(&mut points, shape, &judge);
-    let half_significance = HALF_SIGNIFICANCE / settings.sensitivity.max(1e-3);
     if let Some(width) = chains::typical_width_px(&chains) {
         found.line_width_px = width;
     }
     found.evidence = chains
         .iter()
-        .flat_map(|chain| &chain.strength)
-        .filter(|strength| **strength > half_significance)
+        .flat_map(chains::Chain::strengths)
+        .filter(|strength| *strength > half_significance)
         .map(|strength| strength.min(5.0 * half_significance))
         .sum();
     found.probability = paint::paint(shape, &points, &chains, half_significance, found.line_width_px);

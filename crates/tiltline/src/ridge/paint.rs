@@ -1,6 +1,6 @@
 //! Draws judged chains as a line map: a sharp crest of known height on the sub-pixel centreline.
 //!
-//! The height at a point of significance z is `z^2 / (z^2 + z_half^2)`: 1/2 where z is the operating point, and still
+//! The height at a point of significance z is `z^2 / (z^2 + z_half^2)`, times the trust that it is a line: 1/2 where z is the operating point, and still
 //! telling strong lines from very strong ones. The crest has a Gaussian profile of fixed width, because what the next
 //! stages need from it is the centreline; the width of the lines is told apart from it.
 
@@ -23,15 +23,17 @@ pub(super) fn paint(
     half_significance: f64,
     line_width_px: f64,
 ) -> Array2<f32> {
-    let height_of = |strength: f64| strength * strength / (strength * strength + half_significance * half_significance);
+    let heights: Vec<Vec<f64>> = chains
+        .iter()
+        .map(|chain| {
+            let odds = chain.strengths().map(|strength| (strength / half_significance).powi(2));
+            odds.zip(&chain.trust).map(|(odds, trust)| trust * odds / (1.0 + odds)).collect()
+        })
+        .collect();
     let mut map = Array2::zeros(shape);
-    for chain in chains {
-        let crest: Vec<(Point2, f64)> = chain
-            .points
-            .iter()
-            .zip(&chain.strength)
-            .map(|(index, strength)| (points[*index].position, height_of(*strength)))
-            .collect();
+    for (chain, heights) in chains.iter().zip(&heights) {
+        let crest: Vec<(Point2, f64)> =
+            chain.points.iter().zip(heights).map(|(index, height)| (points[*index].position, *height)).collect();
         for pair in crest.windows(2) {
             segment(&mut map, pair[0], pair[1]);
         }
@@ -39,7 +41,7 @@ pub(super) fn paint(
             segment(&mut map, *last, *first);
         }
     }
-    for (from, to) in junction_gaps(points, chains, &height_of, 2.0 * line_width_px + 2.0) {
+    for (from, to) in junction_gaps(points, chains, &heights, 2.0 * line_width_px + 2.0) {
         segment(&mut map, from, to);
     }
     map
@@ -50,14 +52,14 @@ pub(super) fn paint(
 fn junction_gaps(
     points: &[RidgePoint],
     chains: &[Chain],
-    height_of: &impl Fn(f64) -> f64,
+    heights: &[Vec<f64>],
     reach_px: f64,
 ) -> Vec<((Point2, f64), (Point2, f64))> {
     let cell = |point: &Point2| ((point.x / 8.0).floor() as i64, (point.y / 8.0).floor() as i64);
     let mut grid = std::collections::HashMap::<(i64, i64), Vec<(usize, usize)>>::new();
     for (chain_index, chain) in chains.iter().enumerate() {
         for (place, index) in chain.points.iter().enumerate() {
-            if height_of(chain.strength[place]) > 0.25 {
+            if heights[chain_index][place] > 0.25 {
                 grid.entry(cell(&points[*index].position)).or_default().push((chain_index, place));
             }
         }
@@ -67,14 +69,15 @@ fn junction_gaps(
     for (chain_index, chain) in chains.iter().enumerate().filter(|(_, chain)| !chain.closed) {
         let last = chain.points.len() - 1;
         for (place, sense) in [(0, -1.0), (last, 1.0)] {
-            let height = height_of(chain.strength[place]);
+            let height = heights[chain_index][place];
             if height < 0.25 {
                 continue;
             }
             let end = points[chain.points[place]].position;
             let outward: Vector2 = points[chain.points[place]].tangent * sense;
             let (column, row) = cell(&end);
-            let near = (row - cells..=row + cells).flat_map(|row| (column - cells..=column + cells).map(move |c| (c, row)));
+            let near =
+                (row - cells..=row + cells).flat_map(|row| (column - cells..=column + cells).map(move |c| (c, row)));
             let candidates = near.filter_map(|cell| grid.get(&cell)).flatten();
             let best = candidates
                 .filter(|(other, _)| *other != chain_index)
@@ -88,7 +91,7 @@ fn junction_gaps(
                 })
                 .min_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
             if let Some((_, other, place, target)) = best {
-                let height = height.min(height_of(chains[other].strength[place]));
+                let height = height.min(heights[other][place]);
                 gaps.push(((end, height), (target, height)));
             }
         }

@@ -19,19 +19,35 @@ const LOWEST_SIGNIFICANCE: f32 = 2.5;
 pub(super) struct RidgePoint {
     /// The pixel `[row, column]` it was found at.
     pub pixel: [usize; 2],
-    /// Sub-pixel position.
+    /// Position; the crest of the responses at first, then that of the intensity ([`RidgePoint::refine`]).
     pub position: Point2,
     /// Unit tangent (either sense).
     pub tangent: Vector2,
     /// Response in standard deviations of the noise.
     pub significance: f32,
+    /// Response in intensity: `sigma^2` times the second derivative across, averaged by the elongated kernel.
+    pub response: f32,
     /// Index of the scale it responds to most.
     pub scale: usize,
+}
+
+impl RidgePoint {
+    /// Moves the point to where the intensity at a scale is extreme across its tangent.
+    pub fn refine(&mut self, scale: &Scale) {
+        self.position = crest(scale, self.position, self.across());
+    }
+
+    /// Unit normal of the line.
+    pub fn across(&self) -> Vector2 {
+        Vector2::new(-self.tangent.y, self.tangent.x)
+    }
 }
 
 /// The strongest response over all scales on the full grid.
 pub(super) struct Strongest {
     significance: Array2<f32>,
+    /// Noise of the response that is strongest.
+    noise: Array2<f32>,
     direction: Array2<u8>,
     scale: Array2<u8>,
 }
@@ -39,7 +55,12 @@ pub(super) struct Strongest {
 impl Strongest {
     /// Nothing yet, for an image of a shape.
     pub fn new(shape: (usize, usize)) -> Self {
-        Self { significance: Array2::zeros(shape), direction: Array2::zeros(shape), scale: Array2::zeros(shape) }
+        Self {
+            significance: Array2::zeros(shape),
+            noise: Array2::zeros(shape),
+            direction: Array2::zeros(shape),
+            scale: Array2::zeros(shape),
+        }
     }
 
     /// Takes in the responses of a scale where they are stronger.
@@ -47,6 +68,7 @@ impl Strongest {
         let (height, width) = self.significance.dim();
         let (grid_height, grid_width) = response.significance.dim();
         let significance = self.significance.as_slice_mut().expect("made in standard layout");
+        let noise = self.noise.as_slice_mut().expect("made in standard layout");
         let direction = self.direction.as_slice_mut().expect("made in standard layout");
         let which = self.scale.as_slice_mut().expect("made in standard layout");
         let spacing = scale.spacing() as f32;
@@ -57,7 +79,8 @@ impl Strongest {
         };
         let columns: Vec<_> = (0..width).map(|column| place(column, grid_width)).collect();
         let rows = significance.par_chunks_mut(width).zip(direction.par_chunks_mut(width));
-        rows.zip(which.par_chunks_mut(width)).enumerate().for_each(|(row, ((best, direction), which))| {
+        let rows = rows.zip(which.par_chunks_mut(width)).zip(noise.par_chunks_mut(width));
+        rows.enumerate().for_each(|(row, (((best, direction), which), noise))| {
             debug_assert!(row < height);
             let (top, bottom, v) = place(row, grid_height);
             for (column, &(left, right, u)) in columns.iter().enumerate() {
@@ -73,6 +96,7 @@ impl Strongest {
                     best[column] = value;
                     let nearest = [if v < 0.5 { top } else { bottom }, if u < 0.5 { left } else { right }];
                     direction[column] = response.direction[nearest];
+                    noise[column] = response.noise_at(nearest);
                     which[column] = index as u8;
                 }
             }
@@ -110,11 +134,15 @@ impl Strongest {
             let point = pixel + across * side;
             sample_linear(&map, point.x, point.y).unwrap_or(0.0)
         };
-        if significance < beside(1.0) || significance <= beside(-1.0) {
+        let (after, before) = (beside(1.0), beside(-1.0));
+        if significance < after || significance <= before {
             return None;
         }
-        let position = crest(scale, pixel, across);
-        Some(RidgePoint { pixel: [row, column], position, tangent: along, significance, scale: index })
+        let curvature = before + after - 2.0 * significance;
+        let offset = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
+        let position = pixel + across * f64::from(offset.clamp(-0.5, 0.5));
+        let response = significance * self.noise[[row, column]];
+        Some(RidgePoint { pixel: [row, column], position, tangent: along, significance, response, scale: index })
     }
 }
 

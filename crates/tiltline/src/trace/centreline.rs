@@ -114,7 +114,8 @@ pub(super) fn overhang(map: &Array2<f32>, end: Point2, outward: Vector2, inner: 
     let back = (inner - end).norm();
     let ahead = half_width(outward, inner);
     let reached = inner + outward * ahead;
-    let outside = reached.x < 0.0 || reached.y < 0.0 || reached.x > columns as f64 - 1.0 || reached.y > rows as f64 - 1.0;
+    let outside =
+        reached.x < 0.0 || reached.y < 0.0 || reached.x > columns as f64 - 1.0 || reached.y > rows as f64 - 1.0;
     // A line that runs out of the image is cut there and has no rounded end.
     (ahead - if outside { STEP } else { side } - back).clamp(-4.0, 4.0)
 }
@@ -129,9 +130,8 @@ pub(super) fn smooth_curve(map: &Array2<f32>, raw: &[Point2], closed: bool, widt
     }
     // Smoothed at half-px steps first, whose true length then gives the even spacing.
     let steps = (2.0 * total).round().max(2.0) as usize;
-    let fine: Vec<Point2> = (0..=steps)
-        .map(|step| local_quadratic(&raw, &arcs, closed, total * step as f64 / steps as f64).0)
-        .collect();
+    let fine: Vec<Point2> =
+        (0..=steps).map(|step| local_quadratic(&raw, &arcs, closed, total * step as f64 / steps as f64).0).collect();
     let fine_arcs = arc_lengths(&fine, false);
     let length = fine_arcs[fine.len() - 1];
     let count = length.round().max(1.0) as usize;
@@ -162,9 +162,8 @@ pub(super) fn smooth_curve(map: &Array2<f32>, raw: &[Point2], closed: bool, widt
             let (sum, number) = near.fold((0.0, 0), |(sum, number), (index, _)| (sum + scatter[index], number + 1));
             let scatter2 = sum / f64::from(number.max(1));
             let odds = (1.0 - probability) / probability.max(0.02);
-            let variance = SIGMA_FLOOR_PX.powi(2)
-                + SCATTER_LEFT.powi(2) * scatter2
-                + (SIGMA_PER_WIDTH * width_px).powi(2) * odds;
+            let variance =
+                SIGMA_FLOOR_PX.powi(2) + SCATTER_LEFT.powi(2) * scatter2 + (SIGMA_PER_WIDTH * width_px).powi(2) * odds;
             TracePoint { position, tangent, probability: probability as f32, sigma_perp_px: variance.sqrt() }
         })
         .collect()

@@ -140,12 +140,7 @@ mod tests {
 
     #[test]
     fn a_ring_is_one_closed_branch_and_a_diagonal_an_open_one() {
-        let graph = skeleton_graph(&drawn(&[
-            "..###......",
-            ".#...#...#.",
-            ".#...#..#..",
-            "..###..#...",
-        ]));
+        let graph = skeleton_graph(&drawn(&["..###......", ".#...#...#.", ".#...#..#..", "..###..#..."]));
         assert!(graph.junctions.is_empty());
         let mut found: Vec<(usize, bool)> = graph.branches.iter().map(|b| (b.pixels.len(), b.closed)).collect();
         found.sort_unstable();
@@ -156,12 +151,7 @@ mod tests {
     fn a_cross_has_four_branches_at_one_junction() {
         let graph = skeleton_graph(&drawn(&[
             "#.....#", //
-            ".#...#.",
-            "..#.#..",
-            "...#...",
-            "..#.#..",
-            ".#...#.",
-            "#.....#",
+            ".#...#.", "..#.#..", "...#...", "..#.#..", ".#...#.", "#.....#",
         ]));
         assert_eq!((graph.junctions.len(), graph.branches.len()), (1, 4));
         assert_eq!(graph.junction_position(0), Point2::new(3.0, 3.0));

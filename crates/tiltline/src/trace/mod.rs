@@ -99,13 +99,16 @@ fn finish(map: &Array2<f32>, has_data: Option<&Array2<bool>>, network: &Network,
             continue;
         }
         let last = points.len() - 1;
-        let ends = [(0, points[0].position, -points[0].tangent), (1, points[last].position, points[last].tangent)]
-            .map(|(end, position, outward)| match line.ends[end] {
+        let ends = [(0, points[0].position, -points[0].tangent), (1, points[last].position, points[last].tangent)].map(
+            |(end, position, outward)| match line.ends[end] {
                 _ if line.closed => TraceEnd::Free,
-                End::Node(node) if junction_of[node].is_some() => junction_of[node].map_or(TraceEnd::Free, TraceEnd::Junction),
+                End::Node(node) if junction_of[node].is_some() => {
+                    junction_of[node].map_or(TraceEnd::Free, TraceEnd::Junction)
+                }
                 _ if at_border(map.dim(), has_data, position, outward, width_px) => TraceEnd::Border,
                 _ => TraceEnd::Free,
-            });
+            },
+        );
         graph.traces.push(Trace { points, closed: line.closed, ends });
     }
     graph

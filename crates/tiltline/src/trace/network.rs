@@ -199,7 +199,8 @@ impl Network {
 
     /// Resolves pairs of three-armed junctions that are one crossing drawn out, then junctions of four and more arms.
     pub fn resolve_crossings(&mut self) {
-        let longest = 2.5 * self.width_px + 2.0;
+        // The flattest crossing that is told from two junctions: about 20 degrees.
+        let longest = 10.0 * self.width_px;
         let mut links: Vec<(f64, usize)> = self
             .live()
             .filter(|(_, line)| matches!(line.ends, [End::Node(a), End::Node(b)] if a != b))
@@ -227,7 +228,14 @@ impl Network {
         let fit = |one: (usize, usize), other: (usize, usize)| self.continuity(one, other);
         let straight = fit(from_a[0], from_b[0]).min(fit(from_a[1], from_b[1]));
         let swapped = fit(from_a[0], from_b[1]).min(fit(from_a[1], from_b[0]));
-        if straight.max(swapped) < STRAIGHT_ON {
+        // Two lines that cross at an angle are one in the mask over a length of 2 half-widths / tan(angle / 2).
+        let heading = |(line, end): (usize, usize)| self.lines[line].as_ref().map(|line| self.direction(line, end).1);
+        let (Some(u), Some(v)) = (heading(from_a[0]), heading(from_a[1])) else { return };
+        let half_angle = 0.5 * u.dot(&v).clamp(-1.0, 1.0).acos();
+        let trim_px = self.bent_px(2.0 * half_angle);
+        let merged_px = 1.6 * self.width_px / half_angle.tan().max(1e-3) + 2.0;
+        let length = self.lines[link].as_ref().map_or(0.0, |line| self.length(line));
+        if straight.max(swapped) < STRAIGHT_ON || length > merged_px {
             return;
         }
         let pairs = if straight >= swapped { [(0, 0), (1, 1)] } else { [(0, 1), (1, 0)] };
@@ -243,7 +251,7 @@ impl Network {
                     _ => return,
                 },
             };
-            self.join(arm_a, arm_b, self.width_px);
+            self.join(arm_a, arm_b, trim_px);
         }
     }
 
@@ -253,6 +261,11 @@ impl Network {
         let ((from, u), (to, v)) = (self.direction(first, end_a), self.direction(second, end_b));
         let across = (to - from).perp(&u).abs().min((to - from).perp(&v).abs());
         if across > 1.0 * self.width_px + 2.0 { -1.0 } else { -u.dot(&v) }
+    }
+
+    /// How far from a crossing at an angle the crests of two lines pull at each other.
+    fn bent_px(&self, angle_rad: f64) -> f64 {
+        (0.9 * self.width_px / angle_rad.sin().abs().max(0.1)).clamp(self.width_px, 4.0 * self.width_px)
     }
 
     fn resolve_node(&mut self, node: usize) {
@@ -266,10 +279,14 @@ impl Network {
                 if worst(best) < STRAIGHT_ON {
                     return;
                 }
-                let [(a, b), _] = *best;
-                self.join(arms[a], arms[b], self.width_px);
+                let [(a, b), (c, _)] = *best;
+                let heading =
+                    |(line, end): (usize, usize)| self.lines[line].as_ref().map(|line| self.direction(line, end).1);
+                let (Some(u), Some(v)) = (heading(arms[a]), heading(arms[c])) else { return };
+                let trim_px = self.bent_px(u.dot(&v).clamp(-1.0, 1.0).acos());
+                self.join(arms[a], arms[b], trim_px);
                 if let [a, b] = self.arms[node][..] {
-                    self.join(a, b, self.width_px);
+                    self.join(a, b, trim_px);
                 }
                 return;
             }

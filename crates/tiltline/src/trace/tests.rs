@@ -78,7 +78,8 @@ fn a_circle_is_closed_and_has_two_pi_r() {
 
 #[test]
 fn crossing_lines_pass_through_each_other() {
-    for (from, to) in [((20.0, 100.0), (180.0, 100.0)), ((20.0, 60.0), (180.0, 140.0)), ((30.0, 40.0), (170.0, 170.0))] {
+    for (from, to) in [((20.0, 100.0), (180.0, 100.0)), ((20.0, 60.0), (180.0, 140.0)), ((30.0, 40.0), (170.0, 170.0))]
+    {
         let truth = [line(from, to), line((104.0, 15.0), (96.0, 185.0))];
         let graph = traced([200, 200], &truth);
         assert_eq!((graph.traces.len(), graph.junctions.len()), (2, 0), "{from:?}");
@@ -128,7 +129,8 @@ fn a_gap_is_bridged_and_a_line_that_stops_short_of_another_meets_it() {
 
 #[test]
 fn short_spurs_and_short_pieces_go_and_ends_at_the_border_are_told() {
-    let truth = [line((-10.0, 50.0), (150.0, 54.0)), line((80.0, 52.0), (80.0, 57.5)), line((40.0, 90.0), (49.0, 92.0))];
+    let truth =
+        [line((-10.0, 50.0), (150.0, 54.0)), line((80.0, 52.0), (80.0, 57.5)), line((40.0, 90.0), (49.0, 92.0))];
     let graph = traced([120, 200], &truth);
     assert_eq!((graph.traces.len(), graph.junctions.len()), (1, 0));
     let mut ends = graph.traces[0].ends;
@@ -145,9 +147,8 @@ fn short_spurs_and_short_pieces_go_and_ends_at_the_border_are_told() {
 fn a_mirrored_or_turned_map_has_the_mirrored_or_turned_traces() {
     let scene = Scene::random(&SceneSettings { size_px: 200.0, curves: 5, ..SceneSettings::default() });
     let curves = ViewSettings { shape: [201, 201], ..ViewSettings::default() }.project_curves(&scene);
-    let length = |curves: &[Vec<Point2>]| {
-        traced([201, 201], curves).traces.iter().map(|trace| trace.length_px()).sum::<f64>()
-    };
+    let length =
+        |curves: &[Vec<Point2>]| traced([201, 201], curves).traces.iter().map(|trace| trace.length_px()).sum::<f64>();
     let moved = |f: fn(&Point2) -> Point2| -> Vec<Vec<Point2>> {
         curves.iter().map(|curve| curve.iter().map(f).collect()).collect()
     };
@@ -186,8 +187,8 @@ fn the_oracles_map_is_traced_to_a_twentieth_of_a_pixel() {
     errors.sort_by(f64::total_cmp);
     let at = |share: f64| errors[(errors.len() as f64 * share) as usize];
     assert!(at(0.5) < 0.05, "median {}", at(0.5));
-    // Crossings are interpolated: a few points lie further off, none by a line width.
-    assert!(at(0.95) < 0.3, "95 percent {}", at(0.95));
+    // Where lines touch or cross at a small angle their crests merge: one point in ten or so lies further off.
+    assert!(at(0.85) < 0.1, "85 percent {}", at(0.85));
     assert!(found as f64 / all as f64 > 0.98, "{found} of {all}");
 }
 

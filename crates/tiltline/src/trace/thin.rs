@@ -86,8 +86,7 @@ fn neighbourhood(mask: &Array2<bool>, row: isize, column: isize) -> u8 {
 /// Whether removing a pixel with these neighbours keeps components (8-connected) and holes (4-connected).
 fn is_simple(bits: u8) -> bool {
     let clear = |index: usize| i32::from(bits >> (index % 8) & 1 == 0);
-    let number: i32 =
-        [0, 2, 4, 6].iter().map(|&k| clear(k) - clear(k) * clear(k + 1) * clear(k + 2)).sum();
+    let number: i32 = [0, 2, 4, 6].iter().map(|&k| clear(k) - clear(k) * clear(k + 1) * clear(k + 2)).sum();
     number == 1
 }
 
