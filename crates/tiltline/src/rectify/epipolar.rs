@@ -16,9 +16,9 @@ use crate::geometry::{Point2, Similarity2, Vector2};
 /// microscope, and then clear points must be able to win without being dragged along.
 const PRIOR_CORE: f64 = 3.0;
 /// Neighbouring features overlap and err together: so many of them count as one.
-const CROWDING: f64 = 1.5;
+const CROWDING: f64 = 3.0;
 /// Errors of points differ by direction (they slide along lines) by about this share of their variance.
-const ANISOTROPY: f64 = 0.5;
+const ANISOTROPY: f64 = 1.0;
 
 /// Two images whose epipolar lines are made rows. All lengths are in left px.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,24 +89,25 @@ pub fn wrapped(angle: f64, period: f64) -> f64 {
     (angle + 0.5 * period).rem_euclid(period) - 0.5 * period
 }
 
-/// Mean and covariance of matches as points `(x_L, y_L, x_R, y_R)`.
+/// Weighted mean and covariance of matches as points `(x_L, y_L, x_R, y_R)`.
 #[derive(Clone, Debug)]
 pub struct Moments {
-    /// Number of matches.
-    pub count: usize,
+    /// Sum of the weights.
+    pub weight: f64,
     mean: Vector4<f64>,
     covariance: Matrix4<f64>,
 }
 
 impl Moments {
-    /// Of the chosen matches.
-    pub fn of<'a>(matches: impl Iterator<Item = &'a PointMatch> + Clone) -> Self {
+    /// Of matches with weights from 0 to 1.
+    pub fn of<'a>(matches: impl Iterator<Item = (&'a PointMatch, f64)> + Clone) -> Self {
         let point = |pair: &PointMatch| Vector4::new(pair.left.x, pair.left.y, pair.right.x, pair.right.y);
-        let count = matches.clone().count();
-        let each = 1.0 / count.max(1) as f64;
-        let mean = matches.clone().map(point).sum::<Vector4<f64>>() * each;
-        let covariance = matches.map(|pair| point(pair) - mean).map(|p| p * p.transpose()).sum::<Matrix4<f64>>() * each;
-        Self { count, mean, covariance }
+        let weight: f64 = matches.clone().map(|(_, weight)| weight).sum();
+        let each = 1.0 / weight.max(1e-300);
+        let mean = matches.clone().map(|(pair, weight)| point(pair) * weight).sum::<Vector4<f64>>() * each;
+        let scatter = matches.map(|(pair, weight)| (point(pair) - mean, weight));
+        let covariance = scatter.map(|(p, weight)| p * p.transpose() * weight).sum::<Matrix4<f64>>() * each;
+        Self { weight, mean, covariance }
     }
 
     /// Eigenvalues, descending, in px^2, and the eigenvector of the smallest.
@@ -183,12 +184,12 @@ pub struct Posterior {
 /// direction turn the eigenvector by about `ANISOTROPY l4 / (l3 - l4)`, however many points there are. The likelihood is
 /// widened to the sum of both: it fades out by itself as the points approach one plane.
 pub fn fit_with_prior(moments: &Moments, prior: &AxisPrior) -> Option<Posterior> {
-    if moments.count < 5 {
+    if moments.weight < 4.5 {
         return None;
     }
     let ([_, _, third, fourth], normal) = moments.principal();
     let points = Epipolar::from_constraint(&normal, 0.0, prior.axis_rad)?;
-    let count = moments.count as f64;
+    let count = moments.weight;
     // Four parameters are fitted. Points of exact computed pairs have no noise: the floor keeps sigmas finite.
     let noise2 = (fourth * count / (count - 4.0)).max(1e-12);
     let excess = third - fourth;
@@ -270,8 +271,8 @@ pub fn systematic_row_error_px(
     disparity_spread_px: f64,
     shape: [usize; 2],
 ) -> f64 {
-    let moments = Moments::of(inliers.iter());
-    let count = moments.count.max(1) as f64;
+    let moments = Moments::of(inliers.iter().map(|pair| (pair, 1.0)));
+    let count = moments.weight.max(1.0);
     let row_noise2 = (posterior.noise_px * posterior.geometry.row_noise_gain()).powi(2) * CROWDING;
     let [height, width] = shape.map(|side| side as f64);
     let offset = Vector2::new(0.5 * width, 0.5 * height) - moments.mean.xy();

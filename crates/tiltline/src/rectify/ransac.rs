@@ -22,6 +22,8 @@ const PARALLAX_SHARE: f64 = 1.0 / 12.0;
 const RESIDUAL_PX: f64 = 2.0;
 /// Samples at most; fewer where many matches agree.
 const SAMPLES: usize = 4000;
+/// Degrees of freedom of the t distribution of residuals.
+const TAIL: f64 = 2.0;
 /// A sample's rotation and scale may differ so much from the common similarity's.
 const SANE_TURN_RAD: f64 = 0.2;
 const SANE_SCALE: f64 = 1.2;
@@ -191,8 +193,8 @@ fn sample_epipolar(
             let squares = residuals2(&current, matches);
             let inside = (widening * limit).powi(2);
             let chosen = matches.iter().zip(&squares).filter(|(_, square)| **square < inside).map(|(pair, _)| pair);
-            let moments = Moments::of(chosen);
-            let Some(fitted) = (moments.count >= 5).then(|| moments.fit(axis_rad)).flatten() else { break };
+            let moments = Moments::of(chosen.map(|pair| (pair, 1.0)));
+            let Some(fitted) = (moments.weight >= 5.0).then(|| moments.fit(axis_rad)).flatten() else { break };
             if !sane(&fitted, similarity) {
                 break;
             }
@@ -239,7 +241,10 @@ fn refine(matches: &[PointMatch], start: &Epipolar, limit: f64, prior: &AxisPrio
         let posterior = match refined {
             Some(refined) if settled => refined.posterior,
             _ => {
-                let moments = Moments::of(fitted.iter().map(|&i| &matches[i]));
+                // Weights of Student's t: errors have long tails, because what moves as one in a transparent foil is
+                // seldom one thing alone.
+                let weigh = |i: usize| 1.0 / (1.0 + squares[i] / (TAIL * (cut / 3.0).powi(2)));
+                let moments = Moments::of(fitted.iter().map(|&i| (&matches[i], weigh(i))));
                 fit_with_prior(&moments, prior).ok_or(fitted.len())?
             }
         };
