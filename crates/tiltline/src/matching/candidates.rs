@@ -50,8 +50,6 @@ pub(crate) struct Candidate {
     pub on: Option<(usize, f64)>,
     /// Tangent of the other line, if traced.
     pub tangent: Option<Vector2>,
-    /// Error across the other line, px; as `sigma_px` where it was not traced.
-    pub sigma_perp_px: f64,
     /// Cost per px of arc length.
     pub cost: f32,
 }
@@ -181,7 +179,6 @@ fn traced(
                         .hypot(sigma_along_row_px(&crossing.tangent, crossing.sigma_perp_px)),
                     on: Some((crossing.trace, crossing.arc_px)),
                     tangent: Some(crossing.tangent),
-                    sigma_perp_px: crossing.sigma_perp_px,
                     cost,
                 }
             };
@@ -249,7 +246,7 @@ fn untraced(
                     // Variance of a correlation peak (Carter 1987): (1 - r^2) / (r^2 n |r''| / r).
                     let variance = (1.0 - peak * peak).max(0.0) / (peak * f64::from(pixels).max(1.0) * -bend);
                     let sigma_px = variance.sqrt().hypot(APPEARANCE_SIGMA_PX);
-                    Candidate { disparity_px, sigma_px, on: None, tangent: None, sigma_perp_px: sigma_px, cost }
+                    Candidate { disparity_px, sigma_px, on: None, tangent: None, cost }
                 })
                 .filter(|peak| (range_px[0]..=range_px[1]).contains(&peak.disparity_px))
                 .collect();

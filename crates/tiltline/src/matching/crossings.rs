@@ -64,11 +64,11 @@ impl<'a> RowIndex<'a> {
         let row = usize::try_from(y.floor() as i64 - self.first_row).ok().and_then(|row| self.rows.get(row));
         for &(index, segment) in row.into_iter().flatten() {
             let (index, segment) = (index as usize, segment as usize);
-            let Some(crossing) = self.cut(index, segment, y) else { continue };
+            let Some(crossing) = self.cut(index, segment, y, [low, high]) else { continue };
             let repeated = found.last().is_some_and(|last| {
                 last.trace == index && arc_distance(last.arc_px, crossing.arc_px, self.loop_px(index)) < 1e-6
             });
-            if (low..=high).contains(&crossing.x) && !repeated {
+            if !repeated {
                 found.push(crossing);
             }
         }
@@ -91,7 +91,7 @@ impl<'a> RowIndex<'a> {
         self.traces[trace].closed.then(|| self.lengths_px[trace])
     }
 
-    fn cut(&self, index: usize, segment: usize, y: f64) -> Option<Crossing> {
+    fn cut(&self, index: usize, segment: usize, y: f64, [low, high]: [f64; 2]) -> Option<Crossing> {
         let trace = &self.traces[index];
         let (first, second) = (segment, (segment + 1) % trace.points.len());
         let (a, b) = (&trace.points[first], &trace.points[second]);
@@ -100,6 +100,10 @@ impl<'a> RowIndex<'a> {
             return None;
         }
         let t = (y - a.position.y) / along.y;
+        let x = a.position.x + t * along.x;
+        if !(low..=high).contains(&x) {
+            return None;
+        }
         let length = along.norm();
         let beyond = |end: bool| if end && !trace.closed { END_TOLERANCE_PX / length } else { 0.0 };
         let (before, after) = (beyond(segment == 0), beyond(segment + 2 == trace.points.len()));
@@ -113,7 +117,7 @@ impl<'a> RowIndex<'a> {
         Some(Crossing {
             trace: index,
             arc_px: self.arcs_px[index][first] + t * length,
-            x: a.position.x + t * along.x,
+            x,
             tangent,
             probability: a.probability + (b.probability - a.probability) * inner as f32,
             sigma_perp_px: a.sigma_perp_px + (b.sigma_perp_px - a.sigma_perp_px) * inner,

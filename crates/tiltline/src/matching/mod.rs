@@ -1,8 +1,8 @@
-//! Disparity along the lines: the classical matcher (DESIGN "Match", baseline), which needs no weights.
+//! Disparity along the lines: the classical matcher, the baseline that needs no weights.
 //!
 //! For each left line, dynamic programming along its arc length chooses among the places on each row of the right image
-//! where it may lie ([`candidates`]); the path as a whole is cheap where windows look alike, tangents agree and depth
-//! changes slowly ([`path`]). The same is done from right to left. Candidates that the other direction gave to another line
+//! where it may lie (`candidates`); the path as a whole is cheap where windows look alike, tangents agree and depth
+//! changes slowly (`path`). The same is done from right to left. Candidates that the other direction gave to another line
 //! cost more in the next round; stretches that still contradict it in the end are dropped. Disparities are in rectified
 //! px, `x_R - x_L`.
 

@@ -57,6 +57,8 @@ pub(crate) fn cheapest_path(steps: &[Step<'_>], there: &RowIndex<'_>) -> Vec<Opt
     let mut costs: Vec<Vec<f64>> = Vec::with_capacity(steps.len());
     let mut backs: Vec<Vec<Back>> = Vec::with_capacity(steps.len());
     let mut unmatched: Vec<(f64, Back)> = Vec::with_capacity(steps.len());
+    // The cheapest candidate of each point spares most of the leaps.
+    let mut least: Vec<f64> = Vec::with_capacity(steps.len());
     for (point, step) in steps.iter().enumerate() {
         // A point stands for half a step on either side.
         let weight = 0.5 * (step.step_px + steps.get(point + 1).map_or(step.step_px, |next| next.step_px));
@@ -66,7 +68,7 @@ pub(crate) fn cheapest_path(steps: &[Step<'_>], there: &RowIndex<'_>) -> Vec<Opt
         for (index, candidate) in step.candidates.iter().enumerate() {
             let surcharge = step.surcharge.get(index).copied().unwrap_or(0.0);
             let own = weight * f64::from(candidate.cost + surcharge);
-            let (arrival, from) = arrive(candidate, point, steps, there, &costs, &unmatched);
+            let (arrival, from) = arrive(candidate, point, steps, there, &costs, &least, &unmatched);
             cost.push(own + arrival);
             back.push(from);
         }
@@ -84,6 +86,7 @@ pub(crate) fn cheapest_path(steps: &[Step<'_>], there: &RowIndex<'_>) -> Vec<Opt
             }
         };
         unmatched.push((own + arrival, from));
+        least.push(cheapest(&cost).map_or(f64::INFINITY, |(_, cost)| cost));
         costs.push(cost);
         backs.push(back);
     }
@@ -97,6 +100,7 @@ fn arrive(
     steps: &[Step<'_>],
     there: &RowIndex<'_>,
     costs: &[Vec<f64>],
+    least: &[f64],
     unmatched: &[(f64, Back)],
 ) -> (f64, Back) {
     let Some(previous) = point.checked_sub(1) else { return (0.0, Back::Start) };
@@ -104,17 +108,19 @@ fn arrive(
     let (mut leap_px, mut gap_cost, mut distance_px) = (0.0, 0.0, 0.0);
     for origin in (0..point).rev() {
         distance_px += steps[origin + 1].step_px;
-        for (index, (from, cost)) in steps[origin].candidates.iter().zip(&costs[origin]).enumerate() {
-            if cost + gap_cost < best.0 {
-                let total = cost + gap_cost + transition(from, candidate, distance_px, there);
-                if total < best.0 {
-                    best = (total, Back::Candidate { point: origin, index });
+        if least[origin] + gap_cost < best.0 {
+            for (index, (from, cost)) in steps[origin].candidates.iter().zip(&costs[origin]).enumerate() {
+                if cost + gap_cost < best.0 {
+                    let total = cost + gap_cost + transition(from, candidate, distance_px, there);
+                    if total < best.0 {
+                        best = (total, Back::Candidate { point: origin, index });
+                    }
                 }
             }
         }
         let (step, ill) = (steps[origin].step_px, steps[origin].ill);
         leap_px += if ill { step / 3.0 } else { step };
-        if leap_px > MAX_LEAP_PX || gap_cost > best.0 {
+        if leap_px > MAX_LEAP_PX {
             break;
         }
         gap_cost +=

@@ -30,8 +30,14 @@ struct Direction<'a> {
     ill: Vec<Vec<bool>>,
 }
 
-/// For each line and point, the chosen candidate.
-type Paths = Vec<Vec<Option<usize>>>;
+/// The cheapest path of one line, and the extra costs it was found with.
+#[derive(Clone, PartialEq)]
+struct Solved {
+    /// The chosen candidate of each point.
+    path: Vec<Option<usize>>,
+    /// Extra cost of each candidate of each point.
+    surcharges: Vec<Vec<f32>>,
+}
 
 impl<'a> Direction<'a> {
     fn new(here: Side<'a>, there: Side<'a>, range_px: [f64; 2]) -> Self {
@@ -42,26 +48,36 @@ impl<'a> Direction<'a> {
     }
 
     /// Adds mere likenesses where lines found no traced partner.
-    fn look_for_untraced(&mut self, paths: &Paths) {
+    fn look_for_untraced(&mut self, solved: &[Solved]) {
         let (here, there, range_px) = (self.here, self.there, self.range_px);
-        let lines = self.candidates.par_iter_mut().zip(self.traces).zip(paths);
-        lines.for_each(|((candidates, trace), path)| {
-            let wanted: Vec<bool> = path.iter().map(Option::is_none).collect();
+        let lines = self.candidates.par_iter_mut().zip(self.traces).zip(solved);
+        lines.for_each(|((candidates, trace), solved)| {
+            let wanted: Vec<bool> = solved.path.iter().map(Option::is_none).collect();
             candidates.add_likenesses(trace, here, there, range_px, &wanted);
         });
     }
 
-    /// The cheapest path of every line; `surcharge` gives the extra cost of a candidate.
-    fn paths(&self, surcharge: impl Fn(usize, usize, usize) -> f32 + Sync) -> Paths {
-        (0..self.traces.len()).into_par_iter().map(|line| self.path(line, &surcharge)).collect()
+    /// The cheapest path of every line; `surcharge` gives the extra cost of a candidate. A line whose costs are as they
+    /// were in `before` keeps its path.
+    fn paths(&self, before: &[Solved], surcharge: impl Fn(usize, usize, usize) -> f32 + Sync) -> Vec<Solved> {
+        let solve = |line: usize| {
+            let surcharges: Vec<Vec<f32>> = self.candidates[line]
+                .at
+                .iter()
+                .enumerate()
+                .map(|(point, list)| (0..list.len()).map(|index| surcharge(line, point, index)).collect())
+                .collect();
+            match before.get(line) {
+                Some(before) if before.surcharges == surcharges => before.clone(),
+                _ => Solved { path: self.path(line, &surcharges), surcharges },
+            }
+        };
+        (0..self.traces.len()).into_par_iter().map(solve).collect()
     }
 
-    fn path(&self, line: usize, surcharge: &(impl Fn(usize, usize, usize) -> f32 + Sync)) -> Vec<Option<usize>> {
+    fn path(&self, line: usize, surcharges: &[Vec<f32>]) -> Vec<Option<usize>> {
         let (candidates, trace) = (&self.candidates[line], &self.traces[line]);
         let count = trace.points.len();
-        let extra: Vec<Vec<f32>> = (0..count)
-            .map(|point| (0..candidates.at[point].len()).map(|index| surcharge(line, point, index)).collect())
-            .collect();
         // A closed line is run round twice and the middle kept, so that where it starts does not matter.
         let rounds = if trace.closed { 2 } else { 1 };
         let closing_px = trace.length_px() - candidates.arc_px[count - 1];
@@ -72,7 +88,7 @@ impl<'a> Direction<'a> {
                     if point > 0 { candidates.arc_px[point] - candidates.arc_px[point - 1] } else { closing_px };
                 Step {
                     candidates: &candidates.at[point],
-                    surcharge: &extra[point],
+                    surcharge: &surcharges[point],
                     step_px,
                     ill: self.ill[line][point],
                 }
@@ -106,16 +122,16 @@ enum Verdict {
     Contradicts,
 }
 
-/// What `back` (the paths of the other view's lines) says of a candidate of `forth`.
+/// What `back` (with the paths of the other view's lines) says of a candidate of `forth`.
 fn verdict(
     forth: &Direction<'_>,
     back: &Direction<'_>,
-    back_paths: &Paths,
+    back_solved: &[Solved],
     [line, point, index]: [usize; 3],
 ) -> Verdict {
     let Some((other, arc_px)) = forth.target(line, point, index) else { return Verdict::Silent };
     let other_point = forth.there.index.point_at(other, arc_px);
-    let Some(chosen) = back_paths[other][other_point] else { return Verdict::Silent };
+    let Some(chosen) = back_solved[other].path[other_point] else { return Verdict::Silent };
     match back.target(other, other_point, chosen) {
         None => Verdict::Silent,
         Some((returned, returned_arc)) => {
@@ -140,48 +156,52 @@ pub(super) fn solve(
     let right = Side { image: &pair.right, lines: &lines[1], traces: &traces[1].traces, index: &right_index };
     let mut forth = Direction::new(left, right, range_px);
     let back = Direction::new(right, left, [-range_px[1], -range_px[0]]);
-    let (forth_paths, _) = agree(&forth, &back);
-    forth.look_for_untraced(&forth_paths);
-    let (forth_paths, back_paths) = agree(&forth, &back);
+    let solved = agree(&forth, &back, [Vec::new(), Vec::new()]);
+    forth.look_for_untraced(&solved[0]);
+    let [forth_solved, back_solved] = agree(&forth, &back, solved);
     let spread_px = (range_px[1] - range_px[0]) / 12.0_f64.sqrt();
     let curves: Vec<Vec<MatchedCurve>> = (0..forth.traces.len())
         .into_par_iter()
         .map(|line| {
-            let measured = checked(&forth, &back, &back_paths, line, &forth_paths[line]);
+            let measured = checked(&forth, &back, &back_solved, line, &forth_solved[line].path);
             assemble(line, &forth.traces[line], &measured, pair.rectification.sigma_row_px, spread_px)
         })
         .collect();
     curves.into_iter().flatten().collect()
 }
 
-/// Paths of both directions after the rounds in which each yields to the other.
-fn agree(forth: &Direction<'_>, back: &Direction<'_>) -> (Paths, Paths) {
+/// Both directions after the rounds in which each yields to the other, going on from `solved` (empty at first).
+fn agree(forth: &Direction<'_>, back: &Direction<'_>, solved: [Vec<Solved>; 2]) -> [Vec<Solved>; 2] {
     let extra = |verdict: Verdict| if verdict == Verdict::Contradicts { CONTRADICTION_COST } else { 0.0 };
-    let mut forth_paths = forth.paths(|_, _, _| 0.0);
-    let mut back_paths = back.paths(|_, _, _| 0.0);
+    let [mut forth_solved, mut back_solved] = solved;
+    if forth_solved.is_empty() {
+        forth_solved = forth.paths(&[], |_, _, _| 0.0);
+        back_solved = back.paths(&[], |_, _, _| 0.0);
+    }
     for _ in 0..ROUNDS {
-        let next_forth = forth.paths(|l, p, c| extra(verdict(forth, back, &back_paths, [l, p, c])));
-        let next_back = back.paths(|l, p, c| extra(verdict(back, forth, &forth_paths, [l, p, c])));
-        if next_forth == forth_paths && next_back == back_paths {
+        let next_forth = forth.paths(&forth_solved, |l, p, c| extra(verdict(forth, back, &back_solved, [l, p, c])));
+        let next_back = back.paths(&back_solved, |l, p, c| extra(verdict(back, forth, &forth_solved, [l, p, c])));
+        let settled = next_forth == forth_solved && next_back == back_solved;
+        (forth_solved, back_solved) = (next_forth, next_back);
+        if settled {
             break;
         }
-        (forth_paths, back_paths) = (next_forth, next_back);
     }
-    (forth_paths, back_paths)
+    [forth_solved, back_solved]
 }
 
 /// What was measured along a line, without the stretches that the other direction contradicts.
 fn checked(
     forth: &Direction<'_>,
     back: &Direction<'_>,
-    back_paths: &Paths,
+    back_solved: &[Solved],
     line: usize,
     path: &[Option<usize>],
 ) -> Vec<Option<Measured>> {
     let verdicts: Vec<Option<Verdict>> = path
         .iter()
         .enumerate()
-        .map(|(point, chosen)| chosen.map(|index| verdict(forth, back, back_paths, [line, point, index])))
+        .map(|(point, chosen)| chosen.map(|index| verdict(forth, back, back_solved, [line, point, index])))
         .collect();
     let contradicted = |point: usize| verdicts[point] == Some(Verdict::Contradicts);
     let agrees = |point: usize| verdicts[point] == Some(Verdict::Agrees);

@@ -135,7 +135,6 @@ fn near_crossings(point: &MatchedPoint, right: &RowIndex<'_>, max_distance_px: f
             sigma_px: sigma_along_row_px(&crossing.tangent, crossing.sigma_perp_px),
             on: Some((crossing.trace, crossing.arc_px)),
             tangent: Some(crossing.tangent),
-            sigma_perp_px: crossing.sigma_perp_px,
             cost: (DISTANCE_COST * distance * distance + TANGENT_COST * angle) as f32,
         }
     };

@@ -1,6 +1,6 @@
 //! Sub-pixel disparity from the centrelines of both images (paper, section "Disparity Refinement").
 //!
-//! [`Refinement::Nearest`] is the paper's method, [`Refinement::Curve`] ours: see [`nearest`] and [`curve`].
+//! [`Refinement::Nearest`] is the paper's method, [`Refinement::Curve`] ours; each has its file.
 
 mod curve;
 mod nearest;
