@@ -7,6 +7,7 @@ use std::collections::HashSet;
 
 use rayon::prelude::*;
 
+use super::Rectification;
 use super::descriptor::LENGTH;
 use super::sift::Feature;
 use crate::geometry::Point2;
@@ -129,6 +130,26 @@ pub struct PointMatches {
     /// The few nearest right points of every left point, nearest first: most are wrong, but few of those also lie where
     /// a known geometry wants them.
     pub possible: Vec<PointMatch>,
+}
+
+impl PointMatches {
+    /// Matches of which none is in doubt.
+    pub fn certain(matches: Vec<PointMatch>) -> Self {
+        Self { distinct: matches, possible: Vec::new() }
+    }
+
+    /// Those that lie within `row_px` of their row and within the range of disparities, widened by as much, each place
+    /// once.
+    pub fn agreeing(&self, rectification: &Rectification, row_px: f64) -> Vec<PointMatch> {
+        let [low, high] = rectification.disparity_range_px;
+        let mut seen = HashSet::new();
+        let agrees = |pair: &&PointMatch| {
+            let left = rectification.rectified_from_left * pair.left;
+            let difference = rectification.rectified_from_right * pair.right - left;
+            difference.y.abs() <= row_px && (low - row_px..=high + row_px).contains(&difference.x)
+        };
+        self.distinct.iter().chain(&self.possible).filter(agrees).filter(|pair| seen.insert(pair.places())).copied().collect()
+    }
 }
 
 /// Matches features by their descriptors.
