@@ -10,8 +10,9 @@ use tiltline::ridge::RidgeDetector;
 use tiltline::settings::Settings;
 use tiltline::simulate::{SceneSettings, ViewSettings};
 
-fn reconstructed(curves: usize, seed: u64) -> Agreement {
-    let scene = SceneSettings { curves, seed, ..SceneSettings::default() };
+/// Agreement of one scene: of lines 10 degrees or more off the row, and of all.
+fn reconstructed(curves: usize, seed: u64) -> [Agreement; 2] {
+    let scene = SceneSettings { curves, specks: 5000, seed, ..SceneSettings::default() };
     let truth = rendered_pair(&scene, [-4.0, 4.0], &ViewSettings::default(), |right| {
         right.axis_rad += 0.008;
         right.shift_px = [14.0, -6.0];
@@ -19,30 +20,35 @@ fn reconstructed(curves: usize, seed: u64) -> Agreement {
     let settings = Settings::default();
     let (detector, matcher) = (RidgeDetector::default(), ClassicalMatcher::default());
     let result = reconstruct(truth.pair.clone(), &detector, &matcher, &settings, &|_| ()).unwrap();
-    let agreement = agreement(&result, &truth);
-    eprintln!("{curves} curves, seed {seed}: {agreement:.3?}");
-    agreement
+    let both = [true, false].map(|well_conditioned| agreement(&result, &truth, well_conditioned));
+    eprintln!("{curves} curves, seed {seed}: {:.3?}\n    all: {:.3?}", both[0], both[1]);
+    both
 }
 
-fn mean(of: &[Agreement], value: impl Fn(&Agreement) -> f64) -> f64 {
-    of.iter().map(value).sum::<f64>() / of.len() as f64
+fn mean(of: &[[Agreement; 2]], which: usize, value: impl Fn(&Agreement) -> f64) -> f64 {
+    of.iter().map(|both| value(&both[which])).sum::<f64>() / of.len() as f64
 }
 
 #[test]
 fn rendered_curves_are_found_and_placed() {
-    let results: Vec<Agreement> = (11..17).map(|seed| reconstructed(5, seed)).collect();
-    assert!(mean(&results, |result| result.completeness) > 0.95, "{results:#?}");
-    assert!(mean(&results, |result| result.correctness) > 0.95, "{results:#?}");
-    assert!(mean(&results, |result| result.mean_disparity_error_px) < 0.5, "{results:#?}");
+    let results: Vec<_> = (11..17).map(|seed| reconstructed(5, seed)).collect();
+    let (completeness, correctness) = (mean(&results, 0, |r| r.completeness), mean(&results, 0, |r| r.correctness));
+    let [error, error_of_all] = [0, 1].map(|which| mean(&results, which, |r| r.mean_disparity_error_px));
+    eprintln!("mean: completeness {completeness:.3} correctness {correctness:.3} error {error:.3} ({error_of_all:.3}) px");
+    assert!(completeness > 0.95, "{completeness}");
+    assert!(correctness > 0.95, "{correctness}");
+    assert!(error < 0.5 && error_of_all < 0.5, "{error} {error_of_all}");
 }
 
 #[test]
 fn dense_scenes_lose_little() {
-    // Fourteen curves, many of which cross at small angles or run into each other for tens of px: what the classical
-    // detector cannot take apart. The bounds are below what was measured when they were set, by about half of the
-    // missing part's scatter between seeds.
-    let results: Vec<Agreement> = (11..17).map(|seed| reconstructed(14, seed)).collect();
-    assert!(mean(&results, |result| result.completeness) > 0.88, "{results:#?}");
-    assert!(mean(&results, |result| result.correctness) > 0.93, "{results:#?}");
-    assert!(mean(&results, |result| result.mean_disparity_error_px) < 0.5, "{results:#?}");
+    // Fourteen curves, many of which cross at small angles or run into each other for tens of px, which the classical
+    // detector cannot take apart: the bounds are what it does reach, so that a change for the worse is seen.
+    let results: Vec<_> = (11..17).map(|seed| reconstructed(14, seed)).collect();
+    let (completeness, correctness) = (mean(&results, 0, |r| r.completeness), mean(&results, 0, |r| r.correctness));
+    let error = mean(&results, 0, |r| r.mean_disparity_error_px);
+    eprintln!("mean: completeness {completeness:.3} correctness {correctness:.3} error {error:.3} px");
+    assert!(completeness > 0.90, "{completeness}");
+    assert!(correctness > 0.94, "{correctness}");
+    assert!(error < 0.5, "{error}");
 }

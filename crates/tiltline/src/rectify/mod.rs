@@ -1,13 +1,12 @@
 //! Rectification: makes epipolar lines of a pair rows (paper, section "Image Rectification"; CONVENTIONS.md for signs).
 //!
 //! The path: SIFT features of both images ([`mod@sift`]), matched by descriptor ([`point_matching`]), the matches that
-//! share one geometry ([`ransac`]), their windows aligned to a fraction of a pixel ([`mod@align`]), the geometry with what is known of the axis ([`epipolar`]; the paper's own model is
+//! share one geometry ([`ransac`]), that geometry with what is known of the axis ([`epipolar`]; the paper's own model is
 //! in [`paper_model`]), and both images on one grid ([`resample`]). All lengths are px of the left image's scale.
 //!
 //! Scale along the rows and shear along them change no epipolar line and cannot be seen in two views: only rotation,
 //! isotropic scale and shift are applied.
 
-pub mod align;
 pub mod descriptor;
 pub mod epipolar;
 pub mod estimate;
@@ -19,7 +18,6 @@ pub mod resample;
 pub mod scale_space;
 pub mod sift;
 
-use align::align;
 pub use estimate::estimate;
 pub use point_matching::{PointMatch, PointMatches, match_features};
 pub use sift::{Feature, SiftSettings, sift};
@@ -32,6 +30,9 @@ use crate::micrograph::{StereoPair, View};
 use crate::progress::Stage;
 use crate::warning::Warning;
 use resample::resample;
+
+#[cfg(test)]
+mod tests;
 
 /// Settings of rectification.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -149,10 +150,6 @@ pub enum RectifyError {
     },
 }
 
-/// Matches this near to their row under the first estimate are aligned to a fraction of a pixel for the second.
-const AGREEING_PX: f64 = 4.0;
-/// With fewer aligned matches the first estimate stands.
-const ENOUGH_ALIGNED: usize = 20;
 /// Fewer inliers are an error.
 pub const SMALLEST_INLIERS: usize = 6;
 
@@ -169,13 +166,7 @@ pub fn rectify(
     }
     let matches = match_features(&left, &right);
     let shapes = images.each_ref().map(|image| [image.nrows(), image.ncols()]);
-    let rough = estimate(&matches, shapes, pair.tilt_axis_rad, settings, seed)?;
-    let agreeing = matches.agreeing(&rough.0, AGREEING_PX);
-    let aligned = align(images.each_ref(), &agreeing, &rough.0.right_from_left);
-    let (rectification, mut warnings) = match aligned.len() >= ENOUGH_ALIGNED {
-        true => estimate(&PointMatches::certain(aligned), shapes, pair.tilt_axis_rad, settings, seed).unwrap_or(rough),
-        false => rough,
-    };
+    let (rectification, mut warnings) = estimate(&matches, shapes, pair.tilt_axis_rad, settings, seed)?;
     let maps = [&rectification.rectified_from_left, &rectification.rectified_from_right];
     let [left, right] = [0, 1].map(|view| resample(&images[view].view(), maps[view], rectification.shape));
     if right.iter().all(|value| value.is_nan()) {

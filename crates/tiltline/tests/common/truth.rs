@@ -1,11 +1,15 @@
 //! Truth for rendered pairs and the two simplest scores of a result against it.
 #![allow(dead_code)]
 
-use tiltline::curve::CurvePoint;
-use tiltline::geometry::{Point2, TiltPair};
+use tiltline::curve::{CurvePoint, Flag};
+use tiltline::geometry::{Point2, TiltPair, angle_to_row};
 use tiltline::micrograph::StereoPair;
 use tiltline::reconstruction::Reconstruction;
 use tiltline::simulate::{Scene, SceneSettings, ViewSettings, render};
+
+/// Lines nearer to the row than this have no disparity to speak of (CONVENTIONS.md): the second kind of agreement leaves
+/// them out, degrees.
+pub const ILL_CONDITIONED_DEG: f64 = 10.0;
 
 /// A point counts as found within this distance across the line and this difference of disparity, px.
 pub const TOLERANCE_PX: f64 = 2.0;
@@ -52,18 +56,30 @@ pub struct Agreement {
 }
 
 /// The reconstructed right point at a true left point, and the other way round, in input px: no free offset.
-pub fn agreement(result: &Reconstruction, truth: &RenderedPair) -> Agreement {
-    let points: Vec<&CurvePoint> = result.curves.iter().flat_map(|curve| &curve.points).collect();
+///
+/// With `well_conditioned`, only true lines [`ILL_CONDITIONED_DEG`] or more off the row and reconstructed points that are
+/// flagged `ok` count.
+pub fn agreement(result: &Reconstruction, truth: &RenderedPair, well_conditioned: bool) -> Agreement {
+    let points: Vec<&CurvePoint> = result
+        .curves
+        .iter()
+        .flat_map(|curve| &curve.points)
+        .filter(|point| !well_conditioned || point.flag == Flag::Ok)
+        .collect();
     let inside = |point: &Point2, view: &ViewSettings| {
         let border = 6.0;
         let [height, width] = view.shape.map(|side| side as f64 - 1.0 - border);
         point.x > border && point.y > border && point.x < width && point.y < height
     };
+    // True points inside both images, and whether their line is far enough off the row.
     let mut visible = Vec::new();
     for (left_curve, right_curve) in truth.curves[0].iter().zip(&truth.curves[1]) {
-        for (left, right) in left_curve.iter().zip(right_curve) {
+        for (index, (left, right)) in left_curve.iter().zip(right_curve).enumerate() {
             if inside(left, &truth.views[0]) && inside(right, &truth.views[1]) {
-                visible.push((*left, *right));
+                let neighbours = (index.saturating_sub(1), (index + 1).min(left_curve.len() - 1));
+                let tangent = left_curve[neighbours.1] - left_curve[neighbours.0];
+                let steep = angle_to_row(&tangent).to_degrees() >= ILL_CONDITIONED_DEG;
+                visible.push((*left, *right, steep));
             }
         }
     }
@@ -71,11 +87,13 @@ pub fn agreement(result: &Reconstruction, truth: &RenderedPair) -> Agreement {
         (point.left_input - left).norm() <= TOLERANCE_PX
             && ((point.right_input.x - point.left_input.x) - (right.x - left.x)).abs() <= TOLERANCE_PX
     };
-    let found = visible.iter().filter(|(left, right)| points.iter().any(|point| explains(point, left, right))).count();
+    let all = || result.curves.iter().flat_map(|curve| &curve.points);
+    let wanted: Vec<_> = visible.iter().filter(|(.., steep)| *steep || !well_conditioned).collect();
+    let found = wanted.iter().filter(|(left, right, _)| all().any(|point| explains(point, left, right))).count();
     let mut correct = 0;
     let mut errors = Vec::new();
     for point in &points {
-        correct += usize::from(visible.iter().any(|(left, right)| explains(point, left, right)));
+        correct += usize::from(visible.iter().any(|(left, right, _)| explains(point, left, right)));
         // Where lines cross, the truth meant is the one whose disparity is nearer.
         let error = truth.curves[0]
             .iter()
@@ -87,7 +105,7 @@ pub fn agreement(result: &Reconstruction, truth: &RenderedPair) -> Agreement {
     let share =
         |k: f64| errors.iter().filter(|(error, sigma)| *error <= k * sigma).count() as f64 / errors.len() as f64;
     Agreement {
-        completeness: found as f64 / visible.len() as f64,
+        completeness: found as f64 / wanted.len() as f64,
         correctness: correct as f64 / points.len() as f64,
         mean_disparity_error_px: errors.iter().map(|(error, _)| error).sum::<f64>() / errors.len() as f64,
         within_sigma: [share(1.0), share(2.0)],
