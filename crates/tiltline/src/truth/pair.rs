@@ -1,9 +1,10 @@
 //! Two views of a truth as a stereo pair: which right point belongs to which left point, and the frame scores work in.
 //!
-//! A point seen in both views is described by its *plan*, (x, y) of the mid-view frame in px of the left image, and its
-//! disparity `x_R - x_L` about the tilt axis in the same px (CONVENTIONS.md; depth is disparity / (2 sin(phi / 2))).
+//! A point seen in both views is described by its *plan*, where the left view projects it (x across the tilt axis, y along
+//! it, px of the left image), and its disparity `x_R - x_L` in the same px (CONVENTIONS.md; depth is disparity /
+//! (2 sin(phi / 2))). An offset of all disparities, which no pair of images can tell, leaves the plan where it is.
 
-use crate::geometry::{Point2, Point3, Similarity2, TiltPair, Vector2};
+use crate::geometry::{Point2, Point3, Similarity2, TiltPair, Vector2, project_at_tilt};
 use crate::truth::{ProjectedCurve, TrueCurve, TrueView, Truth, TruthError};
 
 /// How far along a right curve the row of a left point is looked for, in px: contrast sits a few px off the core.
@@ -43,17 +44,22 @@ pub struct PairGeometry {
 
 impl PairGeometry {
     /// Plan and disparity of a point from where both images show it.
-    pub fn triangulate(&self, left: &Point2, right: &Point2) -> (Point2, f64) {
+    pub fn of_images(&self, left: &Point2, right: &Point2) -> (Point2, f64) {
         let (left, right) = (self.rows_from_left * left, self.rows_from_right * right);
-        let x = (left.x + right.x) / (2.0 * (0.5 * self.tilts.phi()).cos());
-        (Point2::new(x, 0.5 * (left.y + right.y)), right.x - left.x)
+        (left, right.x - left.x)
     }
 
     /// Plan and disparity of a specimen point.
     pub fn of_specimen(&self, point: &Point3) -> (Point2, f64) {
-        let (sin, cos) = self.tilts.mid_rad().sin_cos();
-        let (x, z) = (point.x * cos + point.z * sin, point.z * cos - point.x * sin);
-        (Point2::new(x, point.y) * self.px_per_unit, z * self.px_per_unit / self.tilts.depth_gain())
+        let left = project_at_tilt(point, self.tilts.left_rad) * self.px_per_unit;
+        let right = project_at_tilt(point, self.tilts.right_rad) * self.px_per_unit;
+        (left, right.x - left.x)
+    }
+
+    /// Plan and disparity of a point of the mid-view frame, in px of the left image.
+    pub fn of_mid_view(&self, point: &Point3) -> (Point2, f64) {
+        let (x_left, x_right) = self.tilts.project(point.x, point.z);
+        (Point2::new(x_left, point.y), x_right - x_left)
     }
 }
 
@@ -113,7 +119,7 @@ impl<'a> TruthPair<'a> {
     /// Disparity of a left and a right input point in px of the left image: about the tilt axis where the geometry is known,
     /// else the difference of columns.
     pub fn disparity_px(&self, left: &Point2, right: &Point2) -> f64 {
-        self.geometry.map_or(right.x - left.x, |geometry| geometry.triangulate(left, right).1)
+        self.geometry.map_or(right.x - left.x, |geometry| geometry.of_images(left, right).1)
     }
 
     /// Curves that are in one view only, left then right.

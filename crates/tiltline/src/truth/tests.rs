@@ -67,11 +67,14 @@ fn the_right_point_of_a_core_is_its_own_projection_and_gives_its_depth() {
                 (right - truth.views[1].curve(&paired.curve.label).unwrap().contrast[index]).norm(),
                 0.0
             );
-            let (plan, disparity) = geometry.triangulate(&paired.left[index], &right);
+            let (plan, disparity) = geometry.of_images(&paired.left[index], &right);
             let (true_plan, true_disparity) = geometry.of_specimen(point);
             assert_abs_diff_eq!((plan - true_plan).norm(), 0.0, epsilon = 1e-9);
             assert_abs_diff_eq!(disparity, true_disparity, epsilon = 1e-9);
-            // Symmetric tilts: the mid-view frame is the specimen's, and z > 0 (away) moves right as the tilt grows.
+            // Symmetric tilts: the mid-view frame is the specimen's.
+            let (mid_plan, mid_disparity) = geometry.of_mid_view(point);
+            assert_abs_diff_eq!((mid_plan - true_plan).norm() + (mid_disparity - disparity).abs(), 0.0, epsilon = 1e-9);
+            // z > 0 (away) moves right as the tilt grows.
             assert_relative_eq!(disparity, point.z * 2.0 * 4.0_f64.to_radians().sin(), epsilon = 1e-9);
         }
     }
