@@ -121,7 +121,6 @@ impl Compared {
         for (piece, partner) in of_truth.iter().enumerate().filter(|(piece, _)| truth.counts[*piece]) {
             let length = truth.length[piece];
             compared.truth_length += length;
-            compared.any_distance.push((result.chords.capped_distance(&truth.middle[piece], FAR_PX), length));
             if let Some(partner) = partner {
                 compared.truth_found += length;
                 compared.matched.push(values(partner, length));
@@ -129,13 +128,24 @@ impl Compared {
         }
         for (piece, partner) in of_result.iter().enumerate() {
             let length = result.length[piece];
-            compared.any_distance.push((truth.chords.capped_distance(&result.middle[piece], FAR_PX), length));
             if let Some(partner) = partner {
                 compared.result_right += length;
                 compared.matched.push(values(partner, length));
             }
         }
         compared
+    }
+
+    /// Distance of everything to the nearest curve of the other side.
+    fn measure_any_distance(&mut self, truth: &Pieces, result: &Pieces) {
+        for piece in (0..truth.length.len()).filter(|&piece| truth.counts[piece]) {
+            let distance = result.chords.capped_distance(&truth.middle[piece], FAR_PX);
+            self.any_distance.push((distance, truth.length[piece]));
+        }
+        for piece in 0..result.length.len() {
+            let distance = truth.chords.capped_distance(&result.middle[piece], FAR_PX);
+            self.any_distance.push((distance, result.length[piece]));
+        }
     }
 
     fn completeness(&self) -> f64 {
@@ -174,18 +184,24 @@ pub(crate) fn end_to_end_score(
     let truth_space = truth_curves(pair, basis);
     let (result_space, origin_shift_px) = result_curves(result, pair, basis)?;
     let (truth, found) = (Pieces::new(&truth_space), Pieces::new(&result_space));
-    let compared = Compared::new(&truth, &found, settings);
-    let junctions = junction_score(&truth_space, &result_space, compared.offset_px, settings);
-    let on_contrast = (basis == Basis::Core).then(|| {
-        let contrast = Compared::new(&Pieces::new(&truth_curves(pair, Basis::Contrast)), &found, settings);
-        ContrastScore {
-            completeness: contrast.completeness(),
-            correctness: contrast.correctness(),
-            f_score: contrast.f_score(),
-            across_px: contrast.across(),
-            core_to_contrast_px: core_to_contrast(pair),
-        }
+    let on_cores = || {
+        let mut compared = Compared::new(&truth, &found, settings);
+        compared.measure_any_distance(&truth, &found);
+        compared
+    };
+    let (compared, on_contrast) = rayon::join(on_cores, || {
+        (basis == Basis::Core).then(|| {
+            let contrast = Compared::new(&Pieces::new(&truth_curves(pair, Basis::Contrast)), &found, settings);
+            ContrastScore {
+                completeness: contrast.completeness(),
+                correctness: contrast.correctness(),
+                f_score: contrast.f_score(),
+                across_px: contrast.across(),
+                core_to_contrast_px: core_to_contrast(pair),
+            }
+        })
     });
+    let junctions = junction_score((&truth_space, &truth), (&result_space, &found), compared.offset_px, settings);
     let disparity_px =
         Spread::of(compared.matched.iter().map(|(_, disparity, weight)| (*disparity, *weight)).collect());
     let geometry = pair.geometry.filter(|_| basis != Basis::Image);

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::Point2;
 use crate::score::ScoreSettings;
+use crate::score::pairing::Pieces;
+use crate::score::sampling::Foot;
 use crate::score::space::SpaceCurve;
 
 /// Ends of a result this close in plan are one junction, px: its centrelines stop short of each other.
@@ -42,8 +44,8 @@ pub(crate) struct Junction {
 
 /// Compares the junctions of truth and result; `offset_px` is the disparity offset of the result.
 pub(crate) fn junction_score(
-    truth: &[SpaceCurve],
-    result: &[SpaceCurve],
+    truth: (&[SpaceCurve], &Pieces),
+    result: (&[SpaceCurve], &Pieces),
     offset_px: f64,
     settings: &ScoreSettings,
 ) -> JunctionScore {
@@ -75,14 +77,14 @@ pub(crate) fn junction_score(
     }
 }
 
-/// An end of a curve, or the place where a curve passes an end.
+/// An end of a curve.
 struct Arm {
     plan: Point2,
     disparity: f64,
     counts: bool,
 }
 
-pub(crate) fn junctions(curves: &[SpaceCurve], join_px: f64, disparity_px: f64) -> Vec<Junction> {
+fn junctions((curves, pieces): (&[SpaceCurve], &Pieces), join_px: f64, disparity_px: f64) -> Vec<Junction> {
     let mut ends: Vec<(usize, Arm)> = Vec::new();
     for (index, curve) in curves.iter().enumerate().filter(|(_, curve)| !curve.closed && curve.plan.len() > 1) {
         for at in [0, curve.plan.len() - 1] {
@@ -102,7 +104,7 @@ pub(crate) fn junctions(curves: &[SpaceCurve], join_px: f64, disparity_px: f64) 
             }
         }
     }
-    let mut junctions = Vec::new();
+    let (mut junctions, mut feet) = (Vec::new(), Vec::new());
     for root in 0..ends.len() {
         let members: Vec<usize> = (0..ends.len()).filter(|&end| group[end] == root).collect();
         let Some(&first) = members.first() else { continue };
@@ -112,29 +114,18 @@ pub(crate) fn junctions(curves: &[SpaceCurve], join_px: f64, disparity_px: f64) 
             (sum.0 + arm.plan.x, sum.1 + arm.plan.y, sum.2 + arm.disparity)
         });
         let (plan, disparity) = (Point2::new(sum.0 / count, sum.1 / count), sum.2 / count);
-        let mut arms = members.len();
-        for (index, curve) in curves.iter().enumerate() {
-            let ends_here = members.iter().any(|&end| ends[end].0 == index);
-            if !ends_here && passes(curve, &ends[first].1, join_px, disparity_px) {
-                arms += 2;
-            }
-        }
+        let end = &ends[first].1;
+        // Curves that pass by at this depth, other than those that end here.
+        pieces.chords.feet(&end.plan, join_px, &mut feet);
+        let passes = |foot: &&Foot| {
+            let curve = pieces.chords.curve[foot.piece];
+            let same_depth = (pieces.disparity_at(foot) - end.disparity).abs() <= disparity_px;
+            same_depth && members.iter().all(|&member| ends[member].0 != curve)
+        };
+        let arms = members.len() + 2 * feet.iter().filter(passes).count();
         if arms >= 3 {
             junctions.push(Junction { plan, disparity, counts: members.iter().all(|&end| ends[end].1.counts) });
         }
     }
     junctions
-}
-
-/// Whether a curve passes by an end at its depth.
-fn passes(curve: &SpaceCurve, end: &Arm, join_px: f64, disparity_px: f64) -> bool {
-    let count = curve.plan.len();
-    (0..count.saturating_sub(usize::from(!curve.closed))).any(|from| {
-        let to = (from + 1) % count;
-        let along = curve.plan[to] - curve.plan[from];
-        let fraction = ((end.plan - curve.plan[from]).dot(&along) / along.norm_squared().max(1e-18)).clamp(0.0, 1.0);
-        let disparity = curve.disparity[from] + (curve.disparity[to] - curve.disparity[from]) * fraction;
-        (curve.plan[from] + along * fraction - end.plan).norm() <= join_px
-            && (disparity - end.disparity).abs() <= disparity_px
-    })
 }

@@ -8,6 +8,7 @@
 mod calibration;
 mod end_to_end;
 mod error;
+mod grid;
 mod junctions;
 mod lines;
 mod pairing;
@@ -29,6 +30,7 @@ pub use lines::{LineScore, cl_dice};
 pub use paper::{CurvePredictor, PaperScore, Prediction, Residual, ResidualError, paper_score, residuals};
 pub use result::{ResultCurve, ResultCurves, ResultPoint};
 pub use space::Basis;
+pub use statistics::{ImageStatistics, image_statistics};
 pub use summary::{Estimate, Figures, Group, GroupScore, Summary};
 
 use crate::geometry::Point2;
@@ -105,14 +107,18 @@ pub fn score_pair(
     settings: &ScoreSettings,
 ) -> Result<PairScore, ScoreError> {
     check_reach(result, pair)?;
-    let predictor = CurvePredictor::new(result, settings.reach_px);
-    let residuals = residuals(pair, |left, direction| predictor.predict(left, direction));
+    let by_paper = || {
+        let predictor = CurvePredictor::new(result, settings.reach_px);
+        let residuals = residuals(pair, |left, direction| predictor.predict(left, direction));
+        (residuals, lines::line_score(result, pair, settings.mask_width_px))
+    };
+    let ((residuals, lines), end_to_end) =
+        rayon::join(by_paper, || end_to_end::end_to_end_score(result, pair, settings));
     if residuals.is_empty() {
         let (left, right) = (pair.left.name.clone(), pair.right.name.clone());
         return Err(ScoreError::NothingToFind { left, right, curves: pair.truth.curves.len() });
     }
-    let (end_to_end, compared) = end_to_end::end_to_end_score(result, pair, settings)?;
-    let lines = lines::line_score(result, pair, settings.mask_width_px);
+    let (end_to_end, compared) = end_to_end?;
     let tally = Tally::new(&residuals, &compared, &end_to_end, &lines, pair);
     Ok(PairScore {
         name: name.into(),

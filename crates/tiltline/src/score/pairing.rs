@@ -12,7 +12,7 @@
 
 use crate::geometry::Point2;
 use crate::score::calibration::weighted_quantile;
-use crate::score::sampling::{Chords, pieces};
+use crate::score::sampling::{Chords, Foot, pieces};
 use crate::score::space::SpaceCurve;
 
 /// Pieces along either curve that a stretch may skip (3 px), and that the partners of one piece may lie apart.
@@ -58,6 +58,12 @@ impl Pieces {
             }
         }
         all
+    }
+
+    /// Disparity at a foot on these pieces.
+    pub fn disparity_at(&self, foot: &Foot) -> f64 {
+        let [start, end] = self.ends_disparity[foot.piece];
+        start + (end - start) * foot.fraction
     }
 
     fn curve_length(&self, curve: usize) -> f64 {
@@ -171,11 +177,12 @@ impl Pairing {
 /// Every piece with the piece at each of its feet, from both sides, sorted by truth and result piece.
 fn candidates(truth: &Pieces, result: &Pieces, across_px: f64) -> Vec<Candidate> {
     let mut candidates = Vec::new();
+    let mut feet = Vec::new();
     let mut look = |from: &Pieces, to: &Pieces, from_truth: bool| {
         for (piece, middle) in from.middle.iter().enumerate() {
-            for foot in to.chords.feet(middle, across_px) {
-                let [start, end] = to.ends_disparity[foot.piece];
-                let difference = start + (end - start) * foot.fraction - from.disparity[piece];
+            to.chords.feet(middle, across_px, &mut feet);
+            for foot in &feet {
+                let difference = to.disparity_at(foot) - from.disparity[piece];
                 if difference.is_finite() {
                     let across = foot.distance;
                     candidates.push(if from_truth {

@@ -152,7 +152,8 @@ impl<'a> CurvePredictor<'a> {
 
     /// The prediction for a true left point whose line runs along `direction`.
     pub fn predict(&self, left: &Point2, direction: &Vector2) -> Option<Prediction> {
-        let feet = self.chords.feet(left, self.reach_px);
+        let mut feet = Vec::new();
+        self.chords.feet(left, self.reach_px, &mut feet);
         let cost = |foot: &crate::score::sampling::Foot| {
             let [start, end] = self.chords.ends[foot.piece];
             foot.distance + CROSSING_PENALTY_PX * sine_between(&(end - start), direction)

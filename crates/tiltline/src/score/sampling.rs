@@ -1,10 +1,8 @@
 //! Curves cut into pieces of equal length, so that every score is weighted by length and knows nothing of how densely a
 //! file's points were set.
 
-use rstar::primitives::{GeomWithData, Line};
-use rstar::{PointDistance, RTree};
-
 use crate::geometry::{Point2, Vector2};
+use crate::score::grid::Grid;
 
 /// Length of a piece in px: fine beside every tolerance.
 pub(crate) const PIECE_PX: f64 = 0.5;
@@ -82,7 +80,7 @@ pub(crate) fn pieces(points: &[Point2], closed: bool) -> Vec<Piece> {
         .collect()
 }
 
-/// Chords of the pieces of many curves, with a tree over them.
+/// Chords of the pieces of many curves, with a grid over them.
 pub(crate) struct Chords {
     /// Both ends of each piece.
     pub ends: Vec<[Point2; 2]>,
@@ -90,7 +88,8 @@ pub(crate) struct Chords {
     pub curve: Vec<usize>,
     /// Whether an open curve starts or ends with this piece.
     open: Vec<[bool; 2]>,
-    tree: RTree<GeomWithData<Line<[f64; 2]>, usize>>,
+    /// The middles of the chords.
+    grid: Grid,
 }
 
 /// Where a point meets a piece.
@@ -117,29 +116,54 @@ impl Chords {
                 open.push([!closed && at == 0, !closed && at + 1 == pieces.len()]);
             }
         }
-        let line = |(index, ends): (usize, &[Point2; 2])| {
-            GeomWithData::new(Line::new([ends[0].x, ends[0].y], [ends[1].x, ends[1].y]), index)
-        };
-        let tree = RTree::bulk_load(ends.iter().enumerate().map(line).collect());
-        Self { ends, curve, open, tree }
+        let grid = Grid::new(ends.iter().map(|[start, end]| nalgebra::center(start, end)).collect());
+        Self { ends, curve, open, grid }
     }
 
-    /// The foot of a point on every stretch of curve that comes within `radius` of it: one for each time a curve passes by.
-    pub fn feet(&self, point: &Point2, radius: f64) -> Vec<Foot> {
-        // A chord that only just reaches in is decided by its exact distance, not by the tree's rounding.
-        let reach = (radius + 1e-6).powi(2);
-        let near = self.tree.locate_within_distance([point.x, point.y], reach);
-        let mut found: Vec<Foot> = near.map(|chord| self.foot(chord.data, point)).collect();
+    /// The foot of a point on every stretch of curve that comes within `radius` of it, into `found`: one for each time a
+    /// curve passes by, in the order of pieces.
+    pub fn feet(&self, point: &Point2, radius: f64, found: &mut Vec<Foot>) {
+        found.clear();
+        // A distance of exactly the radius, but for rounding, is within it; chords reach half a piece from their middle.
+        let within = radius + 1e-9;
+        self.grid.visit(point, within + 0.5 * PIECE_PX, |piece| {
+            let foot = self.foot(piece, point);
+            if foot.distance <= within {
+                found.push(foot);
+            }
+        });
         found.sort_unstable_by_key(|foot| foot.piece);
-        let passes = found.chunk_by(|a, b| b.piece == a.piece + 1 && self.curve[a.piece] == self.curve[b.piece]);
-        let nearest = passes.filter_map(|pass| pass.iter().min_by(|a, b| a.distance.total_cmp(&b.distance)).copied());
-        nearest.filter(|foot| !foot.beyond).collect()
+        // Of each run of neighbouring pieces, the nearest, moved to the front.
+        let mut runs = 0;
+        let mut last_piece = None;
+        for index in 0..found.len() {
+            let foot = found[index];
+            let same_run = last_piece
+                .is_some_and(|last: usize| last + 1 == foot.piece && self.curve[last] == self.curve[foot.piece]);
+            if !same_run {
+                found[runs] = foot;
+                runs += 1;
+            } else if foot.distance < found[runs - 1].distance {
+                found[runs - 1] = foot;
+            }
+            last_piece = Some(foot.piece);
+        }
+        found.truncate(runs);
+        found.retain(|foot| !foot.beyond);
     }
 
     /// Distance to the nearest piece, `cap` where none is nearer.
     pub fn capped_distance(&self, point: &Point2, cap: f64) -> f64 {
-        let at = [point.x, point.y];
-        self.tree.nearest_neighbor(at).map_or(cap, |nearest| nearest.distance_2(&at).sqrt().min(cap))
+        let mut nearest = cap;
+        // Most points lie beside a line: look near first.
+        for radius in [0.2 * cap, cap] {
+            self.grid
+                .visit(point, radius + 0.5 * PIECE_PX, |piece| nearest = nearest.min(self.foot(piece, point).distance));
+            if nearest <= radius {
+                break;
+            }
+        }
+        nearest
     }
 
     fn foot(&self, piece: usize, point: &Point2) -> Foot {

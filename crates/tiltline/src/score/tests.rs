@@ -508,6 +508,34 @@ fn pooling_weighs_by_length_and_gives_an_interval_over_images() {
     assert_eq!(Summary::new(&scores[..1], &settings).all.figures.epe_px.unwrap().interval_95, None);
 }
 
+#[test]
+fn reports_say_where_their_figures_come_from() {
+    use super::report::{Protocol, Provenance, Report};
+    let mut scores = Vec::new();
+    for index in 0..3 {
+        let truth = truth_of(vec![vertical(-40.0, 0.0), vertical(20.0 + f64::from(index), 10.0)]);
+        scores.push(score(&perfect(&truth), &truth));
+    }
+    let provenance = Provenance { dataset: Some("bench-8deg".into()), dataset_seed: Some(7), ..Provenance::default() };
+    let report = Report::new(provenance, ScoreSettings::default(), scores);
+    let text = report.to_markdown(Protocol::Both);
+    assert!(text.contains("bench-8deg (version unknown, seed 7)") && text.contains("Weights: none"));
+    assert!(text.contains("| completeness | 1.000 (1.000 to 1.000) |"), "{text}");
+    assert!(text.contains("| EPE, px | 0.00 (0.00 to 0.00) |"));
+    assert!(!report.to_markdown(Protocol::Paper).contains("End to end"));
+    assert!(!report.to_markdown(Protocol::EndToEnd).contains("bad-1"));
+    // Every row of a table has as many cells as its header.
+    for lines in text.split("\n\n").filter(|part| part.starts_with('|')) {
+        let cells: Vec<usize> = lines.trim().lines().map(|line| line.matches('|').count()).collect();
+        assert!(cells.windows(2).all(|pair| pair[0] == pair[1]), "{lines}");
+    }
+    // Numbers are read to the last bit or one beside it; these are whole.
+    let json: Report = serde_json::from_str(&report.to_json()).unwrap();
+    assert_eq!(json.provenance, report.provenance);
+    assert_eq!(json.summary.all.figures, report.summary.all.figures);
+    assert_eq!(json.pairs[2].paper, report.pairs[2].paper);
+}
+
 /// Wavy curves in both roles, for laws that hold for any input.
 fn wavy(seed: [f64; 4], depth: f64) -> Vec<Point3> {
     let [x, slope, bow, phase] = seed;
