@@ -55,8 +55,8 @@ impl Grid {
         grid
     }
 
-    /// Calls `visit` with every point within `radius`.
-    pub fn visit(&self, point: &Point2, radius: f64, mut visit: impl FnMut(usize)) {
+    /// Calls `visit` with every point within `radius` and its squared distance.
+    pub fn visit(&self, point: &Point2, radius: f64, mut visit: impl FnMut(usize, f64)) {
         if self.points.is_empty() {
             return;
         }
@@ -70,8 +70,9 @@ impl Grid {
             let cells = row * self.columns;
             // The cells of a row lie one after another.
             for (near, index) in &self.points[self.starts[cells + first]..self.starts[cells + last + 1]] {
-                if (near - point).norm_squared() <= radius * radius {
-                    visit(*index);
+                let distance2 = (near - point).norm_squared();
+                if distance2 <= radius * radius {
+                    visit(*index, distance2);
                 }
             }
         }
@@ -97,7 +98,7 @@ mod tests {
             let points: Vec<Point2> = points.into_iter().map(|(x, y)| Point2::new(x, y)).collect();
             let at = Point2::new(at.0, at.1);
             let mut found = vec![0; points.len()];
-            Grid::new(points.clone()).visit(&at, radius, |index| found[index] += 1);
+            Grid::new(points.clone()).visit(&at, radius, |index, _| found[index] += 1);
             for (point, times) in points.iter().zip(found) {
                 prop_assert!(times <= 1);
                 prop_assert_eq!(times == 1, (point - at).norm_squared() <= radius * radius);

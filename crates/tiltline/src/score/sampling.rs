@@ -6,6 +6,8 @@ use crate::score::grid::Grid;
 
 /// Length of a piece in px: fine beside every tolerance.
 pub(crate) const PIECE_PX: f64 = 0.5;
+/// Furthest that a chord reaches from its middle, with room for rounding.
+const HALF_PIECE_PX: f64 = 0.5 * PIECE_PX + 1e-9;
 
 /// Where a piece's ends lie on the polyline: segment index and fraction along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +55,7 @@ pub(crate) fn pieces(points: &[Point2], closed: bool) -> Vec<Piece> {
         reached.push(reached[segment] + (points[(segment + 1) % count] - points[segment]).norm());
     }
     let total = reached[segments];
-    if !(total > 1e-9) {
+    if total.is_nan() || total <= 1e-9 {
         return Vec::new();
     }
     // Less a hair, so that a length of 10 px is cut into 20 pieces whatever its rounding.
@@ -126,30 +128,23 @@ impl Chords {
         found.clear();
         // A distance of exactly the radius, but for rounding, is within it; chords reach half a piece from their middle.
         let within = radius + 1e-9;
-        self.grid.visit(point, within + 0.5 * PIECE_PX, |piece| {
-            let foot = self.foot(piece, point);
-            if foot.distance <= within {
-                found.push(foot);
+        let mut near: Vec<(usize, f64)> = Vec::with_capacity(32);
+        self.grid.visit(point, within + HALF_PIECE_PX, |piece, distance2| near.push((piece, distance2.sqrt())));
+        near.sort_unstable_by_key(|(piece, _)| *piece);
+        for run in near.chunk_by(|(a, _), (b, _)| a + 1 == *b && self.curve[*a] == self.curve[*b]) {
+            let Some((middle, _)) = run.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+            let mut nearest = self.foot(*middle, point);
+            // Only a chord whose middle is hardly further away can come nearer.
+            for (piece, distance) in run.iter().filter(|(piece, _)| piece != middle) {
+                if distance - HALF_PIECE_PX < nearest.distance {
+                    let foot = self.foot(*piece, point);
+                    nearest = if foot.distance < nearest.distance { foot } else { nearest };
+                }
             }
-        });
-        found.sort_unstable_by_key(|foot| foot.piece);
-        // Of each run of neighbouring pieces, the nearest, moved to the front.
-        let mut runs = 0;
-        let mut last_piece = None;
-        for index in 0..found.len() {
-            let foot = found[index];
-            let same_run = last_piece
-                .is_some_and(|last: usize| last + 1 == foot.piece && self.curve[last] == self.curve[foot.piece]);
-            if !same_run {
-                found[runs] = foot;
-                runs += 1;
-            } else if foot.distance < found[runs - 1].distance {
-                found[runs - 1] = foot;
+            if nearest.distance <= within && !nearest.beyond {
+                found.push(nearest);
             }
-            last_piece = Some(foot.piece);
         }
-        found.truncate(runs);
-        found.retain(|foot| !foot.beyond);
     }
 
     /// Distance to the nearest piece, `cap` where none is nearer.
@@ -157,8 +152,11 @@ impl Chords {
         let mut nearest = cap;
         // Most points lie beside a line: look near first.
         for radius in [0.2 * cap, cap] {
-            self.grid
-                .visit(point, radius + 0.5 * PIECE_PX, |piece| nearest = nearest.min(self.foot(piece, point).distance));
+            self.grid.visit(point, radius + HALF_PIECE_PX, |piece, distance2| {
+                if distance2 < (nearest + HALF_PIECE_PX).powi(2) {
+                    nearest = nearest.min(self.foot(piece, point).distance);
+                }
+            });
             if nearest <= radius {
                 break;
             }

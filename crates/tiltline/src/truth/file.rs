@@ -117,7 +117,7 @@ impl crate::truth::TrueView {
                 return Err(value(place(what), side, "1 to 65536 px"));
             }
         }
-        if let Some(tilt) = self.tilt_rad.filter(|tilt| !(tilt.abs() < std::f64::consts::FRAC_PI_2)) {
+        if let Some(tilt) = self.tilt_rad.filter(|tilt| tilt.is_nan() || tilt.abs() >= std::f64::consts::FRAC_PI_2) {
             return Err(value(place("tilt_deg"), tilt.to_degrees(), "between -90 and 90 degrees"));
         }
         if let Some(ViewMap { scale_px, axis_rad, origin_px }) = self.input_from_projection {
@@ -177,7 +177,7 @@ fn positive(what: impl Fn() -> String, number: f64) -> Result<(), TruthError> {
 }
 
 fn coordinates(what: impl Fn() -> String, numbers: &[f64]) -> Result<(), TruthError> {
-    match numbers.iter().find(|number| !(number.abs() < MAX_COORDINATE)) {
+    match numbers.iter().find(|number| number.is_nan() || number.abs() >= MAX_COORDINATE) {
         Some(number) => Err(value(format!("a coordinate of {}", what()), number, "a finite number below 1e7")),
         None => Ok(()),
     }
