@@ -1,4 +1,4 @@
-//! Scores: how far a result is from the truth, by the paper's protocol and end to end (docs/truth.md; DESIGN "Scores").
+//! Scores: how far a result is from the truth, by the paper's protocol and end to end (docs/truth.md).
 //!
 //! [`score_pair`] scores one pair, [`Summary::new`] pools many with bootstrap intervals, by tilt angle and family, and
 //! [`report`] writes them. [`statistics`] measures images the way the paper's Table 3 does.
