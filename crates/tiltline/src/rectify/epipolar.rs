@@ -152,7 +152,8 @@ pub struct AxisPrior {
 }
 
 impl AxisPrior {
-    fn negative_log(&self, axis_rad: f64) -> f64 {
+    /// Negative logarithm of the prior's density, less its least value.
+    pub fn negative_log(&self, axis_rad: f64) -> f64 {
         let offset = (wrapped(axis_rad - self.axis_rad, PI) / self.sigma_rad).abs();
         if offset < PRIOR_CORE { 0.5 * offset * offset } else { PRIOR_CORE * (offset - 0.5 * PRIOR_CORE) }
     }
@@ -190,11 +191,11 @@ pub fn fit_with_prior(moments: &Moments, prior: &AxisPrior) -> Option<Posterior>
     let ([_, _, third, fourth], normal) = moments.principal();
     let points = Epipolar::from_constraint(&normal, 0.0, prior.axis_rad)?;
     let count = moments.weight;
-    // Four parameters are fitted. Points of exact computed pairs have no noise: the floor keeps sigmas finite.
-    let noise2 = (fourth * count / (count - 4.0)).max(1e-12);
+    // Four parameters are fitted. Points computed exactly have no errors; a ten-thousandth of a px keeps sigmas finite.
+    let noise2 = (fourth * count / (count - 4.0)).max(1e-8);
     let excess = third - fourth;
-    let random2 = CROWDING * third * fourth / (count * excess * excess);
-    let bias2 = (ANISOTROPY * fourth / excess).powi(2);
+    let random2 = CROWDING * third * noise2 / (count * excess * excess);
+    let bias2 = (ANISOTROPY * noise2 / excess).powi(2);
     // Turning the axis by t raises r by about excess * t^2.
     let wide = 0.5 / ((random2 + bias2) * excess);
     let gain = if excess > 0.0 && wide.is_finite() { wide } else { 0.0 };
@@ -217,7 +218,7 @@ pub fn fit_with_prior(moments: &Moments, prior: &AxisPrior) -> Option<Posterior>
         points_axis_rad: points.axis_left_rad,
         points_sigma_rad,
         noise_px: noise2.sqrt(),
-        eigenvalue_ratio: third / fourth.max(1e-12),
+        eigenvalue_ratio: third / fourth.max(1e-8),
     })
 }
 

@@ -138,10 +138,11 @@ fn affine(
     let (axis, sigma) = (epipolar.axis_left_rad.to_degrees(), posterior.axis_sigma_rad.to_degrees());
     if held_by_prior {
         warn(format!(
-            "the {} point matches lie nearly in one plane (third eigenvalue {:.1} times the fourth) and cannot show the tilt \
-             axis: it is held at {axis:.2} +- {sigma:.2} degrees by the axis given ({:.2} +- {:.2}), so --tilt-axis matters; \
-             an error of 1 degree moves a row by 0.017 px per px of disparity",
+            "the {} point matches show the tilt axis only to {:.1} degrees (third eigenvalue {:.1} times the fourth; near 1 \
+             all points lie in one plane): it is held at {axis:.2} +- {sigma:.2} degrees by the axis given ({:.2} +- {:.2}), \
+             so --tilt-axis matters; an error of 1 degree moves a row by 0.017 px per px of disparity",
             found.inliers.len(),
+            posterior.points_sigma_rad.to_degrees(),
             posterior.eigenvalue_ratio,
             prior.axis_rad.to_degrees(),
             settings.axis_prior_sigma_deg,

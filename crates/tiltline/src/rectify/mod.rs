@@ -31,6 +31,9 @@ use crate::progress::Stage;
 use crate::warning::Warning;
 use resample::resample;
 
+#[cfg(test)]
+mod tests;
+
 /// Settings of rectification.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

@@ -36,7 +36,7 @@ const QUANTUM: f32 = 1024.0;
 /// Right features that are compared with one left feature before the next: they stay in the first-level cache.
 const BLOCK: usize = 64;
 
-/// Nearest right features that are remembered for each left one.
+/// Nearest features of the other image that are remembered for each.
 const REMEMBERED: usize = 5;
 
 type Quantised = [i16; LENGTH];
@@ -126,8 +126,8 @@ fn nearest(from: &Kind, to: &Kind) -> Vec<Best> {
 pub struct PointMatches {
     /// Distinct nearest both ways: most are right. No two share both places.
     pub distinct: Vec<PointMatch>,
-    /// The few nearest right points of every left point, nearest first: most are wrong, but few of those also lie where
-    /// a known geometry wants them.
+    /// Pairs that are among the few nearest of each other, nearest first: many are wrong, but few of those also lie
+    /// where a known geometry wants them.
     pub possible: Vec<PointMatch>,
 }
 
@@ -144,7 +144,8 @@ pub fn match_features(left: &[Feature], right: &[Feature]) -> PointMatches {
             {
                 distinct.push((left.features[i], right.features[j]));
             }
-            possible.extend(best.all().map(|(product, j)| (-product, left.features[i], right.features[j])));
+            let mutual = best.all().filter(|&(_, j)| backward[j].all().any(|(_, back)| back == i));
+            possible.extend(mutual.map(|(product, j)| (-product, left.features[i], right.features[j])));
         }
     }
     // The strongest first, whatever their kind.

@@ -22,6 +22,8 @@ const PARALLAX_SHARE: f64 = 1.0 / 12.0;
 const RESIDUAL_PX: f64 = 2.0;
 /// Samples at most; fewer where many matches agree.
 const SAMPLES: usize = 4000;
+/// Most that a sample's axis may count against it, as a negative log probability.
+const MOST_DOUBT: f64 = 10.0;
 /// Degrees of freedom of the t distribution of residuals.
 const TAIL: f64 = 2.0;
 /// A sample's rotation and scale may differ so much from the common similarity's.
@@ -55,7 +57,7 @@ pub fn consensus(matches: &PointMatches, diagonal_px: f64, prior: &AxisPrior, se
     };
     let mut agreeing = near(&matches.distinct);
     let limit = RESIDUAL_PX * (diagonal_px / 1448.0).max(1.0);
-    let sampled = sample_epipolar(&agreeing, &similarity, limit, prior.axis_rad, &mut rng);
+    let sampled = sample_epipolar(&agreeing, &similarity, limit, prior, &mut rng);
     let mut refined = refine(&agreeing, &sampled.ok_or(agreeing.len().min(4))?, limit, prior)?;
     let possible = near(&matches.possible);
     let distinct = agreeing.len();
@@ -153,21 +155,24 @@ fn residuals2(geometry: &Epipolar, matches: &[PointMatch]) -> Vec<f64> {
     geometry.differences(matches).iter().map(|difference| difference.y * difference.y / gain2).collect()
 }
 
-/// MSAC: each match costs its squared residual, at most the limit's.
-fn cost(residuals2: &[f64], limit: f64) -> f64 {
-    residuals2.iter().map(|square| square.min(limit * limit)).sum()
-}
-
 fn sample_epipolar(
     matches: &[PointMatch],
     similarity: &Similarity2,
     limit: f64,
-    axis_rad: f64,
+    prior: &AxisPrior,
     rng: &mut Pcg64,
 ) -> Option<Epipolar> {
     if matches.len() < 4 {
         return None;
     }
+    let axis_rad = prior.axis_rad;
+    // MSAC: each match costs its squared residual, at most the limit's. Where few matches agree, or all lie in one plane,
+    // many axes do equally well and the given one is preferred, at the price of a few matches at most.
+    let cost = |residuals2: &[f64], geometry: &Epipolar| -> f64 {
+        let doubt = prior.negative_log(geometry.axis_left_rad).min(MOST_DOUBT);
+        let variance = (limit / 2.5).powi(2);
+        residuals2.iter().map(|square| square.min(limit * limit)).sum::<f64>() + 2.0 * variance * doubt
+    };
     let mut best: Option<(f64, Epipolar)> = None;
     let mut needed = SAMPLES;
     let mut sample = 0;
@@ -182,7 +187,7 @@ fn sample_epipolar(
             continue;
         }
         let squares = residuals2(&geometry, matches);
-        let found = cost(&squares, limit);
+        let found = cost(&squares, &geometry);
         if best.as_ref().is_some_and(|(lowest, _)| found >= *lowest) {
             continue;
         }
@@ -200,7 +205,7 @@ fn sample_epipolar(
             }
             current = fitted;
             let squares = residuals2(&current, matches);
-            let found = cost(&squares, limit);
+            let found = cost(&squares, &current);
             if best.as_ref().is_none_or(|(lowest, _)| found < *lowest) {
                 best = Some((found, current));
                 let inliers = squares.iter().filter(|square| **square < limit * limit).count();
