@@ -3,10 +3,12 @@
 //!
 //! Distances are in px of the rectified image; significances in standard deviations of the response's noise.
 
+use std::collections::BTreeMap;
+
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use crate::geometry::{Point2, length2};
+use crate::geometry::{Point2, Vector2, length2};
 use crate::ridge::points::RidgePoint;
 use crate::ridge::scales::Scale;
 
@@ -63,7 +65,7 @@ pub(super) struct Judge<'a> {
 /// Chains of linked points with their tangents turned along them.
 pub(super) fn chains(points: &mut [RidgePoint], shape: (usize, usize), judge: &Judge<'_>) -> Vec<Chain> {
     let links = link(points, shape);
-    let mut orders = walk(&links);
+    let mut orders = merge(points, walk(&links));
     orders.retain(|(order, _)| order.len() >= 5 && judge.may_count(points, order));
     for order in &orders {
         orient(points, order);
@@ -157,6 +159,88 @@ fn walk(links: &[[Option<usize>; 2]]) -> Vec<(Vec<usize>, bool)> {
             sequences.push(follow(start, &mut seen));
         }
     }
+    sequences
+}
+
+/// Joins sequences whose ends meet: where the strongest direction or scale changes, neighbours may choose past each
+/// other.
+fn merge(points: &[RidgePoint], mut sequences: Vec<(Vec<usize>, bool)>) -> Vec<(Vec<usize>, bool)> {
+    const CELL_PX: f64 = 5.0;
+    /// Where a sequence ends and its outward direction there.
+    struct Tip {
+        sequence: usize,
+        end: usize,
+        position: Point2,
+        outward: Vector2,
+    }
+    let cell = |point: &Point2| ((point.x / CELL_PX).floor() as i64, (point.y / CELL_PX).floor() as i64);
+    let mut tips = Vec::new();
+    for (index, (sequence, closed)) in sequences.iter().enumerate() {
+        if *closed || sequence.len() < 3 {
+            continue;
+        }
+        let last = sequence.len() - 1;
+        for (end, tip, inner) in [(0, 0, 5.min(last)), (1, last, last.saturating_sub(5))] {
+            let position = points[sequence[tip]].position;
+            let outward = (position - points[sequence[inner]].position).try_normalize(1e-9);
+            tips.push(Tip { sequence: index, end, position, outward: outward.unwrap_or_else(Vector2::x) });
+        }
+    }
+    let mut grid = BTreeMap::<(i64, i64), Vec<usize>>::new();
+    for (index, tip) in tips.iter().enumerate() {
+        grid.entry(cell(&tip.position)).or_default().push(index);
+    }
+    let mut pairs = Vec::new();
+    for (index, tip) in tips.iter().enumerate() {
+        let (column, row) = cell(&tip.position);
+        let near = (column - 1..=column + 1).flat_map(|c| (row - 1..=row + 1).map(move |r| (c, r)));
+        for &other_index in near.filter_map(|cell| grid.get(&cell)).flatten().filter(|other| **other > index) {
+            let other = &tips[other_index];
+            let gap = other.position - tip.position;
+            let facing = -tip.outward.dot(&other.outward);
+            let aside = tip.outward.perp(&gap).abs().max(other.outward.perp(&gap).abs());
+            // They may overlap by a point or two.
+            let ahead = tip.outward.dot(&gap);
+            if other.sequence != tip.sequence && facing > LEAST_AGREEMENT && aside < 1.8 && (-3.0..4.5).contains(&ahead)
+            {
+                pairs.push((gap.norm() + aside + 3.0 * (1.0 - facing), index, other_index));
+            }
+        }
+    }
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let mut taken = vec![false; tips.len()];
+    // Which sequence a tip belongs to now and at which of its ends it is; and the tips at the two ends of each.
+    let mut home: Vec<(usize, usize)> = tips.iter().map(|tip| (tip.sequence, tip.end)).collect();
+    let mut tips_of = vec![[usize::MAX; 2]; sequences.len()];
+    for (index, tip) in tips.iter().enumerate() {
+        tips_of[tip.sequence][tip.end] = index;
+    }
+    for (_, a, b) in pairs {
+        let ((first, first_end), (second, second_end)) = (home[a], home[b]);
+        if taken[a] || taken[b] || first == second {
+            continue;
+        }
+        (taken[a], taken[b]) = (true, true);
+        let mut head = std::mem::take(&mut sequences[first].0);
+        let mut tail = std::mem::take(&mut sequences[second].0);
+        if first_end == 0 {
+            head.reverse();
+        }
+        if second_end == 1 {
+            tail.reverse();
+        }
+        // Points of an overlap would lead back: the tail starts beyond the head.
+        let (end, outward) = (tips[a].position, tips[a].outward);
+        let beyond = |index: &usize| (points[*index].position - end).dot(&outward) > 0.3;
+        let skip = tail.iter().take(4).take_while(|index| !beyond(index)).count();
+        head.extend(tail.into_iter().skip(skip));
+        sequences[first].0 = head;
+        tips_of[first] = [tips_of[first][1 - first_end], tips_of[second][1 - second_end]];
+        for (end, tip) in tips_of[first].into_iter().enumerate() {
+            home[tip] = (first, end);
+        }
+    }
+    sequences.retain(|(sequence, _)| !sequence.is_empty());
     sequences
 }
 
@@ -387,7 +471,6 @@ fn smooth(points: &[Point2]) -> Vec<Point2> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Vector2;
 
     fn point(x: f64, y: f64, tangent: (f64, f64)) -> RidgePoint {
         RidgePoint {

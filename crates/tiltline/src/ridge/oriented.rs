@@ -14,8 +14,13 @@ use crate::ridge::scales::Scale;
 
 /// Number of tangent directions in half a turn.
 pub(super) const DIRECTIONS: usize = 12;
-/// Standard deviation of the kernel along the line in units of that across.
+/// Standard deviation of the kernel along the line in units of that across, at a scale of 1 px.
 const ELONGATION: f64 = 4.0;
+
+/// Elongation at a scale: the length grows with the root of the scale, since curves do not straighten with width.
+fn elongation(sigma_px: f64) -> f64 {
+    (ELONGATION / sigma_px.sqrt()).clamp(1.8, ELONGATION)
+}
 /// Every how many rows the noise is measured.
 const NOISE_ROW_STEP: usize = 12;
 /// Side in grid px of the tiles of local noise.
@@ -50,10 +55,10 @@ impl Response {
 }
 
 /// A kernel along a tangent: offsets (down, right) and weights, symmetric about the centre.
-fn taps(direction: usize, sigma: f64) -> Vec<(isize, isize, f32)> {
+fn taps(direction: usize, sigma: f64, elongation: f64) -> Vec<(isize, isize, f32)> {
     let (x, y) = tangent(direction);
     // The scale's own blur counts to the length; what is left is added here, in steps that the blur spans.
-    let along_sigma = sigma * (ELONGATION * ELONGATION - 1.0).sqrt();
+    let along_sigma = sigma * (elongation * elongation - 1.0).sqrt();
     let step = 1.5 * sigma;
     let reach = (2.3 * along_sigma / step).round() as isize;
     let mut taps: Vec<(isize, isize, f32)> = (-reach..=reach)
@@ -76,12 +81,12 @@ struct Kernel {
 }
 
 impl Kernel {
-    fn new(direction: usize, sigma: f64, sign: f32) -> Self {
+    fn new(direction: usize, sigma: f64, elongation: f64, sign: f32) -> Self {
         let (x, y) = tangent(direction);
         // The normal is (-y, x).
         let gain = sigma * sigma * f64::from(sign);
         let steer = [gain * y * y, -2.0 * gain * x * y, gain * x * x].map(|weight| weight as f32);
-        Self { taps: taps(direction, sigma), steer }
+        Self { taps: taps(direction, sigma, elongation), steer }
     }
 
     /// Mean along the tangent at row `row`, columns -1 to width.
@@ -114,7 +119,9 @@ impl Kernel {
 pub(super) fn respond(scale: &Scale, sign: f32, distance_to_gap: &Array2<f32>) -> Response {
     let (height, width) = scale.image.dim();
     let sigma = scale.sigma_on_grid();
-    let kernels: Vec<Kernel> = (0..DIRECTIONS).map(|direction| Kernel::new(direction, sigma, sign)).collect();
+    let elongation = elongation(scale.sigma_px);
+    let kernels: Vec<Kernel> =
+        (0..DIRECTIONS).map(|direction| Kernel::new(direction, sigma, elongation, sign)).collect();
     let margin = kernels.iter().flat_map(|kernel| &kernel.taps).map(|tap| tap.0.abs().max(tap.1.abs())).max();
     let image = Padded::new(&scale.image, margin.unwrap_or(0) as usize + 2);
     let noise = Noise::measure(&image, &kernels, [height, width], |row, column| {

@@ -23,7 +23,7 @@ pub(super) struct RidgePoint {
     pub position: Point2,
     /// Unit tangent (either sense).
     pub tangent: Vector2,
-    /// Response in standard deviations of the noise.
+    /// Response in standard deviations of the noise, less for wide scales.
     pub significance: f32,
     /// Response in intensity: `sigma^2` times the second derivative across, averaged by the elongated kernel.
     pub response: f32,
@@ -72,6 +72,8 @@ impl Strongest {
         let direction = self.direction.as_slice_mut().expect("made in standard layout");
         let which = self.scale.as_slice_mut().expect("made in standard layout");
         let spacing = scale.spacing() as f32;
+        // White noise favours kernels wider than the line: a price on width keeps neighbouring lines apart.
+        let price = scale.sigma_px.powf(-0.5) as f32;
         let place = move |index: usize, count: usize| {
             let at = ((index as f32 + 0.5) / spacing - 0.5).clamp(0.0, (count - 1) as f32);
             let low = (at as usize).min(count.saturating_sub(2));
@@ -87,16 +89,15 @@ impl Strongest {
                 let mix = |row: usize| {
                     response.significance[[row, left]] * (1.0 - u) + response.significance[[row, right]] * u
                 };
-                let value = if scale.level == 0 {
-                    response.significance[[row, column]]
-                } else {
-                    mix(top) * (1.0 - v) + mix(bottom) * v
-                };
+                let value = match scale.level {
+                    0 => response.significance[[row, column]],
+                    _ => mix(top) * (1.0 - v) + mix(bottom) * v,
+                } * price;
                 if value > best[column] {
                     best[column] = value;
                     let nearest = [if v < 0.5 { top } else { bottom }, if u < 0.5 { left } else { right }];
                     direction[column] = response.direction[nearest];
-                    noise[column] = response.noise_at(nearest);
+                    noise[column] = response.noise_at(nearest) / price;
                     which[column] = index as u8;
                 }
             }
