@@ -4,6 +4,7 @@
 
 pub mod draw;
 pub mod foil;
+pub mod physics;
 pub mod scene;
 pub mod view;
 
