@@ -12,8 +12,8 @@ use super::{PhysicsError, PhysicsSettings};
 /// Far enough that a half-line beyond a surface looks infinite, near enough for f64.
 const PROLONGED_NM: f64 = 1e6;
 /// A chord replaces the points between its ends where they deviate by less than this share of the distance to it (or by
-/// [`CHORD_NM`]): a change of beta of the same share, below 0.1 percent of contrast anywhere.
-const CHORD_SHARE: f64 = 0.004;
+/// [`CHORD_NM`]): a change of beta of about the same share.
+const CHORD_SHARE: f64 = 0.008;
 const CHORD_NM: f64 = 0.03;
 
 /// One dislocation in a view.

@@ -94,7 +94,8 @@ fn columns_agree_with_runge_kutta_on_the_textbook_equations() {
     let foil = foil(thickness, vec![straight(through, direction, burgers, 300.0)]);
     for deviation_per_nm in [-0.01, 0.0, 0.02] {
         let base = PhysicsSettings {
-            g_per_nm: Vector3::new(5.0, -4.0, 0.5),
+            // g.b = 2: a fraction would add a stacking fault on the cut, which strain alone knows nothing of.
+            g_per_nm: Vector3::new(6.0, -5.0, 1.0),
             deviation_per_nm,
             reach_nm: 1e4,
             core_radius_nm: 1e-3,
@@ -105,8 +106,8 @@ fn columns_agree_with_runge_kutta_on_the_textbook_equations() {
             let expected = by_runge_kutta(&line, &base, thickness, x, 20_000);
             for (detector, expected) in [Detector::BrightField, Detector::DarkField].into_iter().zip(expected) {
                 let settings = PhysicsSettings { detector, ..base.clone() };
-                // The stated error of the slices.
-                assert_relative_eq!(intensity(&foil, &settings, [x, 0.0]), expected, epsilon = 1e-3);
+                // The stated error of the slices (a third of the share gives 2e-4).
+                assert_relative_eq!(intensity(&foil, &settings, [x, 0.0]), expected, epsilon = 2e-3);
             }
         }
     }
@@ -157,12 +158,17 @@ fn an_edge_with_g_perpendicular_to_b_shows_only_the_symmetric_residual() {
     let settings = |g: Vector3| PhysicsSettings { g_per_nm: g_along(g, 1.0), ..PhysicsSettings::default() };
     let background = intensity(&foil(thickness, Vec::new()), &settings(Vector3::x()), [0.0; 2]);
     let unseen = profile(&edge, &settings(Vector3::y()), 30.0, 1.0);
-    assert!(contrast(&unseen, background) < 1e-9);
+    // The 1e-8 of the series in each slice.
+    assert!(contrast(&unseen, background) < 1e-6);
     let residual = profile(&edge, &settings(Vector3::x()), 30.0, 1.0);
     assert!(contrast(&residual, background) > 0.02);
     let in_plane = horizontal(thickness, 40.0, Vector3::new(B_NM, 0.0, 0.0));
     let full = profile(&in_plane, &settings(Vector3::x()), 30.0, 1.0);
-    assert!(contrast(&full, background) > 1.5 * contrast(&residual, background));
+    // Nothing but g.(b x u) counts: adding to g along the line changes nothing.
+    let slanted = profile(&edge, &settings(Vector3::new(1.0, 0.7, 0.0)), 30.0, 1.0);
+    for (a, b) in residual.iter().zip(&slanted) {
+        assert_relative_eq!(a.1, b.1, epsilon = 1e-9);
+    }
     let lopsided = |profile: &[(f64, f64)]| {
         profile.iter().zip(profile.iter().rev()).map(|(a, b)| (a.1 - b.1).abs()).fold(0.0, f64::max)
     };
@@ -213,7 +219,8 @@ fn an_inclined_line_oscillates_with_the_effective_extinction_distance() {
         };
         let xi_eff = effective_extinction_distance_nm(&settings);
         let thickness = (6.25 * xi_eff).round();
-        let period = dominant_period(&along_inclined(&settings, thickness, 4.0), 12..90);
+        // A quarter of xi_g off the core, where the scattering is weak: closer by, its second order (xi_eff / 2) is as strong.
+        let period = dominant_period(&along_inclined(&settings, thickness, 10.0), 12..90);
         assert_relative_eq!(period, xi_eff, max_relative = 0.15);
     }
 }
@@ -304,20 +311,36 @@ fn weak_beam(g_dot_b: f64, s: f64) -> PhysicsSettings {
     }
 }
 
-/// Where planes near the core are turned back into the Bragg position: s + beta = 0 (Cockayne, Ray & Whelan 1969). For a
-/// right-handed screw (b along u) beta = g.b / (2 pi x) with x along z^ x u: x = -g.b / (2 pi s).
+fn weak_beam_peak_nm(order: f64, s: f64) -> (f64, f64) {
+    // u = -y, and b along u: x is measured along z^ x u.
+    let burgers = Vector3::new(0.0, -B_NM, 0.0) * if order > 10.0 { 4.0 } else { 1.0 };
+    let settings = PhysicsSettings {
+        g_per_nm: Vector3::y() * (order / burgers.norm()),
+        reach_nm: 1e4,
+        core_radius_nm: 0.05,
+        ..weak_beam(order, s)
+    };
+    let half_width = 1.5 * order.abs() / (2.0 * PI * s.abs());
+    let profile = profile(&horizontal(101.0, 50.5, burgers), &settings, half_width, half_width / 150.0);
+    let peak = profile.iter().max_by(|a, b| a.1.total_cmp(&b.1)).expect("the profile has points");
+    (peak.0, -settings.g_per_nm.dot(&burgers) / (2.0 * PI * s))
+}
+
+/// Planes near the core are turned back into the Bragg position where s + beta = 0 (Cockayne, Ray & Whelan 1969); for a
+/// right-handed screw (b along u) beta = g.b / (2 pi x), x along z^ x u, at the depth of the core: x_c = -g.b / (2 pi s).
+/// That is the turning point of the phase of the kinematical integral, hence the outer edge of the bright line: the
+/// maximum lies on its inner side, and reaches it only for large g.b. For g.b = 2 the integral is elementary:
+/// `int exp(2 pi i s z) (x + i z) / (x - i z) dz = 4 pi |x| exp(-2 pi |s x|)` on that side: a maximum at x_c / 2 exactly.
 #[test]
-fn the_weak_beam_peak_lies_where_the_planes_are_back_in_the_bragg_position() {
-    let thickness = 101.0;
-    // u = -y, and b along u.
-    let burgers = Vector3::new(0.0, -B_NM, 0.0);
-    for (order, s) in [(2.0, 0.2), (2.0, -0.2), (-2.0, 0.2), (2.0, 0.15), (3.0, 0.25)] {
-        let settings = weak_beam(order, s);
-        let g_dot_b = settings.g_per_nm.dot(&burgers);
-        let foil = horizontal(thickness, 48.0, burgers);
-        let profile = profile(&foil, &settings, 12.0, 0.05);
-        let peak = profile.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
-        assert_relative_eq!(peak.0, -g_dot_b / (2.0 * PI * s), max_relative = 0.2);
+fn the_weak_beam_line_lies_where_the_planes_are_turned_back_into_the_bragg_position() {
+    for (order, s) in [(2.0, 0.2), (2.0, -0.2), (-2.0, 0.2), (-2.0, -0.2), (2.0, 0.15), (2.0, 0.3)] {
+        let (peak, turning_point) = weak_beam_peak_nm(order, s);
+        // w = s xi_g is 9 to 18 here: kinematical to a few percent; 20 percent allowed.
+        assert_relative_eq!(peak, 0.5 * turning_point, max_relative = 0.2);
+    }
+    for s in [0.2, -0.2] {
+        let (peak, turning_point) = weak_beam_peak_nm(20.0, s);
+        assert_relative_eq!(peak, turning_point, max_relative = 0.2);
     }
 }
 
@@ -489,7 +512,7 @@ fn the_truth_finds_the_weak_beam_line_beside_its_core() {
     foil.dislocations[0].points = (-40..=40).map(|i| Point3::new(0.0, -5.0 * f64::from(i), z)).collect();
     let tilt_rad = 0.07;
     let view = PhysicsView { shape: [64, 128], pixel_size_nm: 0.5, tilt_rad, ..PhysicsView::default() };
-    let settings = PhysicsSettings { blur_nm: 0.3, ..weak_beam(2.0, 0.15) };
+    let settings = PhysicsSettings { blur_nm: 0.2, ..weak_beam(2.0, 0.15) };
     let truth = image(&foil, &settings, &view).unwrap().truth;
     let middle = &truth.lines[0].points[40];
     assert_relative_eq!(middle.core_px.x, 63.5 + z * tilt_rad.sin() / 0.5, epsilon = 1e-9);
@@ -499,7 +522,8 @@ fn the_truth_finds_the_weak_beam_line_beside_its_core() {
     // u points to -y: its right on the screen is +x. The centre of the half-height region is a little further out than
     // the peak (the profile falls slowly on the far side).
     assert_relative_eq!(middle.across.x, 1.0, epsilon = 1e-9);
-    assert_relative_eq!(contrast.offset_px * 0.5, expected_nm, max_relative = 0.35);
+    // (see the weak-beam peak above: half of the turning point for g.b = 2).
+    assert_relative_eq!(contrast.offset_px * 0.5, 0.5 * expected_nm, max_relative = 0.35);
     assert!(contrast.amplitude > 1.0);
     // Points far outside the image have no contrast, and say so.
     assert!(truth.lines[0].points[0].contrast.is_none());
