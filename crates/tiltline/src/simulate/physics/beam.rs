@@ -67,7 +67,7 @@ pub struct PhysicsSettings {
     pub detector: Detector,
     /// Poisson's ratio.
     pub poisson_ratio: f64,
-    /// Distances to a line are taken as `sqrt(r^2 + core^2)`, so that the strain stays finite at its core; nm.
+    /// Columns nearer to a line than this are computed at this distance, where elasticity still means something; nm.
     pub core_radius_nm: f64,
     /// The strain of a line is faded out between half this lateral distance and all of it, in nm. The surfaces of a real
     /// foil screen it at about the thickness of the foil.

@@ -72,12 +72,15 @@ pub struct Scratch {
     waves: [Vec<f64>; 4],
 }
 
-/// A line in reach of the column.
+/// Some neighbouring segments of a line in reach of the column.
 #[derive(Clone, Debug)]
 struct Chain {
     line: usize,
     vertices: std::ops::Range<usize>,
+    /// Where the column is for this line: see [`outside_core`].
+    at: [f64; 2],
     weight: f64,
+    /// Whether all of them are far.
     far: bool,
 }
 
@@ -142,7 +145,8 @@ impl Columns {
         for line in &self.lines {
             if line.distance_to_box(at) < nearest {
                 scratch.vertices.clear();
-                nearest = nearest.min(line.seen_from(at, &mut scratch.vertices));
+                let [dx, dy] = line.seen_from(at, &mut scratch.vertices);
+                nearest = nearest.min(dx.hypot(dy));
             }
         }
         nearest
@@ -162,7 +166,7 @@ impl Columns {
         slices.clear();
         for index in 0..count as usize {
             let top = column.top_nm + index as f64 * step;
-            cut([top, top + step], cores, self.settings.core_radius_nm, slices);
+            cut([top, top + step], cores, slices);
         }
         depths.clear();
         for [top, bottom] in slices.iter() {
@@ -181,7 +185,7 @@ impl Columns {
             let contrast = &self.lines[chain.line].contrast;
             let (z, beta) = if chain.far { (&*node_depths, &mut *node_beta) } else { (&*depths, &mut *beta) };
             let vertices = &vertices[chain.vertices.clone()];
-            add_chain(contrast, vertices, at, z, chain.weight, beta, [inverse, inverse_next]);
+            add_chain(contrast, vertices, chain.at, z, chain.weight, beta, [inverse, inverse_next]);
         }
         if chains.iter().any(|chain| chain.far) {
             let coefficients = chebyshev_coefficients(node_beta);
@@ -210,23 +214,31 @@ impl Columns {
                 continue;
             }
             let start = vertices.len();
-            let nearest = line.seen_from(at, vertices);
+            let [dx, dy] = line.seen_from(at, vertices);
+            let nearest = dx.hypot(dy);
             if nearest >= reach {
                 vertices.truncate(start);
                 continue;
             }
-            let far = nearest > FAR_SHARE * column.length_nm;
-            chains.push(Chain { line: index, vertices: start..vertices.len(), weight: fade(nearest / reach), far });
-            if far {
-                continue;
-            }
-            for ends in vertices[start..].windows(2) {
+            let weight = fade(nearest / reach);
+            let at = outside_core(at, [dx, dy], self.settings.core_radius_nm, line);
+            let far_nm = FAR_SHARE * column.length_nm;
+            // Runs of near and of far segments; a run starts with the last vertex of the one before.
+            let mut run = Chain { line: index, vertices: start..start + 1, at, weight, far: false };
+            for (offset, ends) in vertices[start..].windows(2).enumerate() {
                 let core = closest_approach(&ends[0], &ends[1], at);
-                // Further away than the longest slice, it shortens none.
-                if core.lateral2 < (column.length_nm / FEWEST_SLICES / SLICE_SHARE).powi(2) {
+                let far = core.lateral2 > far_nm * far_nm;
+                if far != run.far && run.vertices.len() > 1 {
+                    chains.push(run.clone());
+                    run.vertices = start + offset..start + offset + 1;
+                }
+                run.far = far;
+                run.vertices.end += 1;
+                if !far {
                     cores.push(core);
                 }
             }
+            chains.push(run);
         }
         !chains.is_empty()
     }
@@ -337,20 +349,37 @@ fn cosine_and_sine(re: f64, im: f64) -> [f64; 4] {
 }
 
 /// Halves a slice until it is short enough; appends the pieces in order of depth.
-fn cut([top, bottom]: [f64; 2], cores: &[Core], core_radius: f64, out: &mut Vec<[f64; 2]>) {
+fn cut([top, bottom]: [f64; 2], cores: &[Core], out: &mut Vec<[f64; 2]>) {
     let length = bottom - top;
     let too_long = cores.iter().any(|core| {
         let gap = (top - core.depth).max(core.depth - bottom).max(0.0) * core.steepness;
-        let distance2 = core.lateral2 + gap * gap + core_radius * core_radius;
+        let distance2 = core.lateral2 + gap * gap;
         (length * core.steepness).powi(2) > SLICE_SHARE * SLICE_SHARE * distance2
     });
     if too_long && length > 1e-3 {
         let middle = 0.5 * (top + bottom);
-        cut([top, middle], cores, core_radius, out);
-        cut([middle, bottom], cores, core_radius, out);
+        cut([top, middle], cores, out);
+        cut([middle, bottom], cores, out);
     } else {
         out.push([top, bottom]);
     }
+}
+
+/// The column, moved sideways out of the core of a line that lies (dx, dy) from it. The linear strain is meaningless in
+/// there, but its phase is not: it tends to the same column from both sides where g . b is an integer.
+fn outside_core([x, y]: [f64; 2], [dx, dy]: [f64; 2], core_radius: f64, line: &Line) -> [f64; 2] {
+    let distance = dx.hypot(dy);
+    if distance >= core_radius {
+        return [x, y];
+    }
+    if distance < 1e-9 {
+        // On the line: the side is chosen so that -g takes the other one.
+        let side = if line.contrast.g_per_nm.dot(&line.contrast.burgers_nm) < 0.0 { -1.0 } else { 1.0 };
+        let [across_x, across_y] = line.across_near([x, y]);
+        return [x + side * core_radius * across_x, y + side * core_radius * across_y];
+    }
+    let scale = core_radius / distance;
+    [x + dx - dx * scale, y + dy - dy * scale]
 }
 
 fn closest_approach(start: &Point3, end: &Point3, [x, y]: [f64; 2]) -> Core {
@@ -433,8 +462,8 @@ mod unit_tests {
     fn slices_cover_the_column_without_gaps_and_turn_over_with_it() {
         let core = |depth| [Core { depth, lateral2: 0.3, steepness: 0.8 }];
         let (mut down, mut up) = (Vec::new(), Vec::new());
-        cut([0.0, 128.0], &core(37.0), 0.2, &mut down);
-        cut([0.0, 128.0], &core(128.0 - 37.0), 0.2, &mut up);
+        cut([0.0, 128.0], &core(37.0), &mut down);
+        cut([0.0, 128.0], &core(128.0 - 37.0), &mut up);
         assert_eq!((down[0][0], down[down.len() - 1][1]), (0.0, 128.0));
         assert!(down.windows(2).all(|pair| pair[0][1] == pair[1][0]));
         let turned: Vec<[f64; 2]> = up.iter().rev().map(|[top, bottom]| [128.0 - bottom, 128.0 - top]).collect();

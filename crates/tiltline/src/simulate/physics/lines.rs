@@ -77,7 +77,6 @@ impl Line {
             burgers_nm: view_from_specimen(&burgers, tilt_rad),
             g_per_nm: view_from_specimen(&settings.g_per_nm, tilt_rad),
             poisson_ratio: settings.poisson_ratio,
-            core_radius_nm: settings.core_radius_nm,
         };
         let bound =
             |axis: usize, pick: fn(f64, f64) -> f64, start: f64| own.iter().map(|point| point[axis]).fold(start, pick);
@@ -95,24 +94,39 @@ impl Line {
         dx.hypot(dy)
     }
 
-    /// The vertices of the line as seen from the column (x, y), appended to `out`; returns the lateral distance to the
-    /// part inside the foil.
-    pub fn seen_from(&self, column: [f64; 2], out: &mut Vec<Point3>) -> f64 {
+    /// The vertices of the line as seen from the column (x, y), appended to `out`; returns the vector (dx, dy) to the
+    /// nearest place of it that is inside the foil.
+    pub fn seen_from(&self, column: [f64; 2], out: &mut Vec<Point3>) -> [f64; 2] {
         out.extend(self.before);
         out.push(self.points[0]);
-        let mut nearest = f64::INFINITY;
+        let mut nearest = [f64::INFINITY; 2];
         self.descend(0, column, out, &mut nearest);
         out.extend(self.after);
         nearest
     }
 
-    fn descend(&self, index: usize, column: [f64; 2], out: &mut Vec<Point3>, nearest: &mut f64) {
+    /// `z^ x u`, normalised, of the piece of the line nearest to the column; x for one along the beam.
+    pub fn across_near(&self, column: [f64; 2]) -> [f64; 2] {
+        let distance = |ends: &[Point3]| {
+            let [dx, dy] = lateral_offset(&ends[0], &ends[1], column);
+            dx.hypot(dy)
+        };
+        let nearest = self.points.windows(2).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let along = nearest.map_or(Vector3::z(), |ends| ends[1] - ends[0]);
+        let lateral = along.x.hypot(along.y);
+        if lateral > 1e-9 { [-along.y / lateral, along.x / lateral] } else { [1.0, 0.0] }
+    }
+
+    fn descend(&self, index: usize, column: [f64; 2], out: &mut Vec<Point3>, nearest: &mut [f64; 2]) {
         let chord = &self.chords[index];
         let [start, end] = chord.ends;
-        let distance = lateral_distance(&self.points[start], &self.points[end], column);
+        let [dx, dy] = lateral_offset(&self.points[start], &self.points[end], column);
+        let distance = dx.hypot(dy);
         let at_least = (distance - chord.deviation_nm).max(0.0);
         if chord.halves[0] == 0 || chord.deviation_nm <= (CHORD_SHARE * at_least).max(CHORD_NM) {
-            *nearest = nearest.min(distance);
+            if distance < nearest[0].hypot(nearest[1]) {
+                *nearest = [dx, dy];
+            }
             out.push(self.points[end]);
         } else {
             self.descend(chord.halves[0], column, out, nearest);
@@ -158,11 +172,12 @@ fn distance_to_segment(start: &Point3, end: &Point3, point: &Point3) -> f64 {
     (point - start - along * foot).norm()
 }
 
-fn lateral_distance(start: &Point3, end: &Point3, [x, y]: [f64; 2]) -> f64 {
+/// From the column to the nearest point of a segment, across the beam.
+fn lateral_offset(start: &Point3, end: &Point3, [x, y]: [f64; 2]) -> [f64; 2] {
     let (ax, ay) = (end.x - start.x, end.y - start.y);
     let (px, py) = (x - start.x, y - start.y);
     let foot = ((px * ax + py * ay) / (ax * ax + ay * ay).max(1e-30)).clamp(0.0, 1.0);
-    (px - foot * ax).hypot(py - foot * ay)
+    [foot * ax - px, foot * ay - py]
 }
 
 #[cfg(test)]
@@ -192,8 +207,10 @@ mod tests {
             let line = Line::new(&foil, 0, &PhysicsSettings::default(), 0.1).unwrap();
             let (mut near, mut far) = (Vec::new(), Vec::new());
             let first = line.points[0];
-            assert!(line.seen_from([first.x, first.y], &mut near) < 1e-9);
-            let distance = line.seen_from([700.0, 0.0], &mut far);
+            let [dx, dy] = line.seen_from([first.x, first.y], &mut near);
+            assert!(dx.hypot(dy) < 1e-9);
+            let [dx, dy] = line.seen_from([700.0, 0.0], &mut far);
+            let distance = dx.hypot(dy);
             assert!(far.len() < near.len() && near.len() <= line.points.len());
             assert_relative_eq!(distance, 700.0 - line.high[0], max_relative = CHORD_SHARE);
             for vertices in [near, far] {

@@ -10,13 +10,16 @@
 //!
 //! Summed over a closed loop, a network whose Burgers vectors balance, or a line without ends, this is exact; one long
 //! segment is the straight line of [`super::displacement`] (tested). So both the locally straight line near its core and
-//! the cancelling far fields of loops and dipoles come out of one formula. `rho^2` is replaced by `rho^2 + core^2`.
+//! the cancelling far fields of loops and dipoles come out of one formula.
 //!
 //! nm and 1/nm; frame with z along the beam.
 
 use std::f64::consts::PI;
 
 use crate::geometry::{Point3, Vector3};
+
+/// Keeps divisions finite on the line itself.
+const TINY_NM2: f64 = 1e-12;
 
 /// What the field of a line depends on besides its shape.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,8 +30,6 @@ pub struct Contrast {
     pub g_per_nm: Vector3,
     /// Poisson's ratio.
     pub poisson_ratio: f64,
-    /// Core radius, nm.
-    pub core_radius_nm: f64,
 }
 
 /// Adds `scale * beta` of the chain of segments through `vertices` to `beta` at the depths `z` of the column (x, y).
@@ -44,9 +45,8 @@ pub fn add_chain(
     [inverse, inverse_next]: [&mut Vec<f64>; 2],
 ) {
     let Some(first) = vertices.first() else { return };
-    let core2 = contrast.core_radius_nm.powi(2);
     let inverse_distance = |vertex: &Point3, out: &mut Vec<f64>| {
-        let lateral2 = (x - vertex.x).powi(2) + (y - vertex.y).powi(2) + core2;
+        let lateral2 = (x - vertex.x).powi(2) + (y - vertex.y).powi(2) + TINY_NM2;
         out.clear();
         out.extend(z.iter().map(|z| 1.0 / (lateral2 + (z - vertex.z).powi(2)).sqrt()));
     };
@@ -73,7 +73,7 @@ fn add_segment(
     if length < 1e-9 {
         return;
     }
-    let Contrast { burgers_nm: b, g_per_nm: g, poisson_ratio: nu, core_radius_nm } = *contrast;
+    let Contrast { burgers_nm: b, g_per_nm: g, poisson_ratio: nu } = *contrast;
     let u = along / length;
     let c = u.cross(&b);
     // Everything is a polynomial of the depth from z_0: rho = rho_0 + e dz, with e = z^ - u_z u.
@@ -84,7 +84,7 @@ fn add_segment(
     let e = Vector3::z() - u * u.z;
     let (g_u, g_rho_0, g_e) = (g.dot(&u), g.dot(&rho_0), g.dot(&e));
     let c_rho_0 = c.dot(&rho_0);
-    let rho2_0 = rho_0.norm_squared() + core_radius_nm * core_radius_nm;
+    let rho2_0 = rho_0.norm_squared() + TINY_NM2;
     let edge = scale / (8.0 * PI * (1.0 - nu));
     let dilatation = edge * (1.0 - 2.0 * nu) * g.dot(&c);
     let across = edge * c.z;
@@ -131,7 +131,6 @@ mod tests {
             burgers_nm: Vector3::new(0.2, 0.1, -0.15),
             g_per_nm: Vector3::new(2.0, -3.0, 0.4),
             poisson_ratio: 0.31,
-            core_radius_nm: 1e-6,
         }
     }
 
