@@ -84,14 +84,14 @@ fn cases() -> Vec<Case> {
     let wedge = PhysicsSettings { wedge: [0.0, 0.7], deviation_per_nm: 0.002, ..usual() };
     let mut cases = vec![
         case(
-            "screw-inclined",
-            three_inclined(120.0, along * B_NM),
-            PhysicsSettings { g_per_nm: Vector3::new(0.0, 1.2 / B_NM, 0.0), ..usual() },
+            "screws-inclined",
+            screws(120.0),
+            PhysicsSettings { g_per_nm: Vector3::new(0.0, 1.0 / B_NM, 0.0), ..usual() },
         ),
-        case("screw-invisible", three_inclined(120.0, along * B_NM), usual()),
+        case("screws-invisible", screws(120.0), usual()),
         case("edge-inclined", three_inclined(120.0, x), usual()),
         case("mixed-inclined", three_inclined(120.0, (Vector3::x() + along) * B_NM), usual()),
-        case("dotted-thick-foil-s-0", three_inclined(thick, x), oscillating.clone()),
+        case("dotted-thick-foil-s-0", three_inclined(thick, x), oscillating),
         case("horizontal-edges-at-three-depths", horizontal(120.0, x), usual()),
         case("dipoles", dipoles(120.0, x), usual()),
         case("loops-in-plane", loops(120.0, Vector3::new(0.0, 0.0, B_NM)), usual()),
@@ -128,6 +128,20 @@ fn three_inclined(thickness: f64, burgers: Vector3) -> Foil {
         line(points.map(|q| Point3::new(x + 20.0 * q, q * length, q * thickness)).collect(), burgers)
     });
     foil(thickness, lines.into())
+}
+
+/// The same with b along each line, as long as makes b_y = B_NM; none leans towards x.
+fn screws(thickness: f64) -> Foil {
+    let mut foil = three_inclined(thickness, Vector3::zeros());
+    for dislocation in &mut foil.dislocations {
+        let x = dislocation.points[30].x;
+        for point in &mut dislocation.points {
+            point.x = x;
+        }
+        let along = dislocation.points[60] - dislocation.points[0];
+        dislocation.burgers_nm = Some(along * (B_NM / along.y));
+    }
+    foil
 }
 
 fn horizontal(thickness: f64, burgers: Vector3) -> Foil {
