@@ -41,7 +41,9 @@ impl Display {
             (Display::Bar(bar), Event::Started(stage)) => bar.set_message(stage.word()),
             (Display::Bar(bar), Event::Finished(..)) => bar.inc(1),
             (Display::Lines { verbose: false }, Event::Started(stage)) => eprintln!("{stage}"),
-            (Display::Lines { verbose: true }, Event::Finished(stage, seconds)) => eprintln!("{stage:<12} {seconds:7.2} s"),
+            (Display::Lines { verbose: true }, Event::Finished(stage, seconds)) => {
+                eprintln!("{stage:<12} {seconds:7.2} s")
+            }
             (Display::Nothing | Display::Lines { .. }, _) => {}
         }
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 use tiltline::curve::{Flag, TraceGraph};
 use tiltline::geometry::{Point2, length2};
-use tiltline::measure::{Density, DepthRange, DensityUnit, Foil, Known};
+use tiltline::measure::{Density, DensityUnit, DepthRange, Foil, Known};
 use tiltline::micrograph::View;
 use tiltline::reconstruction::{LengthUnit, Reconstruction};
 use tiltline::rectify::Rectification;
@@ -76,9 +76,8 @@ impl Summary {
     /// The summary of a result.
     pub fn of(result: &Reconstruction, provenance: Provenance) -> Self {
         let points: Vec<_> = result.curves.iter().flat_map(|curve| &curve.points).collect();
-        let share = |flag: Flag| {
-            points.iter().filter(|point| point.flag == flag).count() as f64 / points.len().max(1) as f64
-        };
+        let share =
+            |flag: Flag| points.iter().filter(|point| point.flag == flag).count() as f64 / points.len().max(1) as f64;
         let mut sigmas: Vec<f64> = points.iter().map(|point| point.sigma_disparity_px).collect();
         sigmas.sort_unstable_by(f64::total_cmp);
         let disparities = points.iter().map(|point| point.disparity_px);

@@ -8,6 +8,7 @@ pub mod draw;
 pub mod field;
 pub mod foil;
 pub mod parametric;
+pub mod physics;
 pub mod scene;
 pub mod view;
 
