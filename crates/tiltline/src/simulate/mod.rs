@@ -4,7 +4,10 @@
 
 pub mod draw;
 pub mod foil;
+pub mod geometry;
+pub mod paradis;
 pub mod scene;
+pub mod slab;
 pub mod view;
 
 pub use foil::{Dislocation, Foil};
