@@ -11,8 +11,10 @@ use std::time::Instant;
 
 use ndarray::Array2;
 use tiltline::geometry::Point3;
-use tiltline::simulate::geometry::{Feature, FoilSample, FoilSettings, geometry_rng, sample_foil};
+use tiltline::simulate::geometry::{Feature, FoilSample, FoilSettings, Range, geometry_rng, sample_foil};
 use tiltline::simulate::geometry::{Split, length_in_field_nm};
+use tiltline::simulate::paradis::{Network, ReadOptions};
+use tiltline::simulate::slab::{Cut, foil_from_network};
 
 const TILE: usize = 340;
 const COLUMNS: usize = 4;
@@ -50,7 +52,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         slowest.0,
         slowest.1
     );
-    let plain = FoilSettings { most_field_lengths: 8.0, clustering: 0.0, ..FoilSettings::mixed() };
+    let plain = FoilSettings { field_lengths: Range::new(4.0, 9.0), clustering: 0.0, ..FoilSettings::mixed() };
     let features: Vec<FoilSample> = Feature::ALL
         .iter()
         .flat_map(|&feature| [0, 1].map(|index| grow(&plain.clone().only(feature), 100 * seed + index)))

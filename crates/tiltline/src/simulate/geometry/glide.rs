@@ -158,7 +158,7 @@ pub fn trailing_curve(settings: &GlideSettings, site: &Site, frame: &PlaneFrame,
             Point3::new(centre_s + way * s, q, 0.0)
         })
         .collect();
-    let wave = Wave::new(0.5 * settings.wave_amplitude_nm.sample(rng), 0.4 * stretch, rng);
+    let wave = Wave::new(0.5 * settings.wave_amplitude_nm.sample(rng), stretch, rng);
     spline(&flat, false, site.spacing_nm).iter().map(|point| [point.x, point.y + wave.at(point.x)]).collect()
 }
 
@@ -216,7 +216,7 @@ pub fn straight(settings: &GlideSettings, site: &Site, rng: &mut Pcg64) -> Vec<D
     let across = frame.normal.cross(&along);
     let reach = site.reach_nm();
     let wave =
-        Wave::new(0.3 * settings.wave_amplitude_nm.sample(rng), 3.0 * settings.wave_length_nm.sample_log(rng), rng);
+        Wave::new(0.6 * settings.wave_amplitude_nm.sample(rng), 2.0 * settings.wave_length_nm.sample_log(rng), rng);
     let steps = ((2.0 * reach / 20.0).ceil() as usize).max(2);
     let knots: Vec<Point3> = (0..=steps)
         .map(|step| {

@@ -89,7 +89,7 @@ const SHORTEST_PIECE_NM: f64 = 3.0;
 /// A feature may overfill the foil by this share of the length asked for.
 const TOLERANCE: f64 = 0.1;
 /// Features in a row that may fail to fit before the foil counts as full.
-const PATIENCE: usize = 25;
+const PATIENCE: usize = 20;
 
 /// A crystal and its active slip systems.
 struct Grain {
@@ -117,8 +117,8 @@ impl<'a> Growth<'a> {
         let thickness_nm = settings.thickness_nm.sample(rng);
         // 1 m^-2 is 1e-18 nm^-2.
         let density_per_nm2 = settings.density_per_m2.sample_log(rng) * 1e-18;
-        let wanted_nm =
-            (density_per_nm2 * field_nm * field_nm * thickness_nm).min(settings.most_field_lengths * field_nm);
+        let wanted_nm = (density_per_nm2 * field_nm * field_nm * thickness_nm)
+            .clamp(settings.field_lengths.low * field_nm, settings.field_lengths.high * field_nm);
         let half = half_window_nm(settings, field_nm);
         let corner = Point3::new(half, half, 0.5 * thickness_nm);
         let lattice = settings.lattices[rng.random_range(0..settings.lattices.len())];
@@ -133,8 +133,10 @@ impl<'a> Growth<'a> {
         } else {
             (Vec::new(), vec![crystal])
         };
-        let grains =
-            crystals.into_iter().map(|crystal| Grain { crystal, systems: active_systems(settings, &crystal, rng) });
+        let wall = boundaries.first().map(|wall| wall.normal);
+        let grains = crystals
+            .into_iter()
+            .map(|crystal| Grain { crystal, systems: active_systems(settings, &crystal, wall, rng) });
         Self {
             settings,
             thickness_nm,
@@ -208,7 +210,8 @@ impl<'a> Growth<'a> {
             crystal: &grain.crystal,
             systems: &grain.systems,
             budget_nm,
-            spacing_nm: self.settings.spacing_nm,
+            // Shapes are smooth at this scale: two steps of the final spacing.
+            spacing_nm: 2.0 * self.settings.spacing_nm,
         };
         let lines = grow(feature, self.settings, &site, rng);
         let mut region = self.window.to_vec();
@@ -296,21 +299,42 @@ fn lamellae(
     (boundaries, crystals)
 }
 
-/// The slip systems of a few planes of the crystal, level planes last: they carry no line through the foil.
-fn active_systems(settings: &FoilSettings, crystal: &Crystal, rng: &mut Pcg64) -> Vec<SlipSystem> {
+/// The slip systems of a few planes of the crystal. The flatter a plane lies, the more of it is in the foil and the likelier it
+/// is drawn, but planes within 8 degrees of level carry no line through the foil. Most lamellae keep slip off the planes
+/// parallel to their boundaries.
+fn active_systems(
+    settings: &FoilSettings,
+    crystal: &Crystal,
+    boundary: Option<Vector3>,
+    rng: &mut Pcg64,
+) -> Vec<SlipSystem> {
+    let same = |one: &Vector3, two: &Vector3| one.dot(two).abs() > 1.0 - 1e-9;
     let all = crystal.slip_systems();
     let mut planes: Vec<Vector3> = Vec::new();
     for system in &all {
-        if !planes.iter().any(|plane| plane.dot(&system.normal).abs() > 1.0 - 1e-9) {
+        if !planes.iter().any(|plane| same(plane, &system.normal)) {
             planes.push(system.normal);
         }
     }
-    let steep: Vec<Vector3> = planes.iter().copied().filter(|plane| plane.z.abs() < 0.99).collect();
-    let mut pool = if steep.is_empty() { planes } else { steep };
+    let avoided = boundary.filter(|_| chance(0.75, rng));
+    let suits = |plane: &Vector3| plane.z.abs() < 0.99 && !avoided.is_some_and(|boundary| same(&boundary, plane));
+    let suitable: Vec<Vector3> = planes.iter().copied().filter(suits).collect();
+    let mut pool = if suitable.is_empty() { planes } else { suitable };
     let count = (settings.active_planes.sample(rng).round() as usize).clamp(1, pool.len());
-    let chosen: Vec<Vector3> = (0..count).map(|_| pool.swap_remove(rng.random_range(0..pool.len()))).collect();
-    let on_chosen = |system: &&SlipSystem| chosen.iter().any(|plane| plane.dot(&system.normal).abs() > 1.0 - 1e-9);
-    all.iter().filter(on_chosen).copied().collect()
+    let mut chosen: Vec<Vector3> = Vec::new();
+    while chosen.len() < count {
+        // The width of a plane in the foil is the thickness over the sine of its dip.
+        let widths = pool.iter().map(|plane| 1.0 / plane.xy().norm().max(0.14));
+        let mut left = widths.clone().sum::<f64>() * rng.random::<f64>();
+        let drawn = widths
+            .take_while(|width| {
+                left -= width;
+                left >= 0.0
+            })
+            .count();
+        chosen.push(pool.swap_remove(drawn.min(pool.len() - 1)));
+    }
+    all.iter().filter(|system| chosen.iter().any(|plane| same(plane, &system.normal))).copied().collect()
 }
 
 /// The uncut lines of one feature.
@@ -341,7 +365,7 @@ fn grow(feature: Feature, settings: &FoilSettings, site: &Site, rng: &mut Pcg64)
             let out = |end: Option<&Point3>| end.is_none_or(|end| end.x.abs() > window || end.y.abs() > window);
             // Lines that leave by the window need no surface.
             if !(out(line.points.first()) && out(line.points.last())) {
-                site.run_out(&mut line.points);
+                site.run_out(&mut line.points, line.plane_normal);
             }
         }
     }
@@ -360,9 +384,17 @@ pub fn cut(lines: &[Dislocation], region: &[HalfSpace], thickness_nm: f64, spaci
             if points.len() < 2 {
                 continue;
             }
-            // Takes the rounding of the cut back out: ends lie on the surface exactly.
+            // Takes the rounding of the cut back out: cut ends lie on the surface exactly.
             let half = 0.5 * thickness_nm;
-            points.iter_mut().for_each(|point| point.z = point.z.clamp(-half, half));
+            for point in &mut points {
+                point.z = point.z.clamp(-half, half);
+            }
+            let last = points.len() - 1;
+            for (end, was_cut) in [0, last].into_iter().zip(piece.cut) {
+                if was_cut && half - points[end].z.abs() < 1e-9 * thickness_nm {
+                    points[end].z = half.copysign(points[end].z);
+                }
+            }
             pieces.push(Dislocation {
                 points,
                 closed: piece.closed,

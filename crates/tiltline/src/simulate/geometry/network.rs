@@ -104,9 +104,14 @@ fn attracting_pair(
 pub fn net(settings: &NetworkSettings, site: &Site, rng: &mut Pcg64) -> Vec<Dislocation> {
     let Some([one, two]) = attracting_pair(site, rng, |_, _| true) else { return Vec::new() };
     let burgers = [one.burgers_nm, two.burgers_nm, -(one.burgers_nm + two.burgers_nm)];
-    let normal = if chance(0.5, rng) { one.normal } else { direction(rng) };
+    // Not steeper than 60 degrees: seen nearer to edge on, a net is a row of dashes.
+    let mut normal = if chance(0.5, rng) { one.normal } else { direction(rng) };
+    while normal.z.abs() < 0.5 {
+        normal = direction(rng);
+    }
     let frame = PlaneFrame::new(&normal, &site.centre, site.thickness_nm);
-    let mesh = settings.mesh_nm.sample_log(rng);
+    // At least two meshes from surface to surface.
+    let mesh = settings.mesh_nm.sample_log(rng).min(0.6 * frame.half_width_nm);
     // More than 80 meshes across are no longer seen as a net.
     let half_extent = (0.5 * settings.extent_nm.sample_log(rng)).min(40.0 * mesh);
     let half_height = frame.half_width_nm.min(half_extent);

@@ -164,8 +164,9 @@ pub struct FoilSettings {
     pub thickness_nm: Range,
     /// Length of line per volume in the field, in m^-2; drawn with all factors alike.
     pub density_per_m2: Range,
-    /// Upper bound of the length of line in the field over the side of the field: what one image can show.
-    pub most_field_lengths: f64,
+    /// Bounds of the length of line in the field over the side of the field, which win over the density: an image shows something, and
+    /// no more than can be told apart.
+    pub field_lengths: Range,
     /// Greatest distance of neighbouring points of a line. A third of a pixel is enough.
     pub spacing_nm: f64,
     /// Lines go on beyond the field by this share of its side on each side. The field stays filled up to a tilt of
@@ -295,8 +296,8 @@ impl Default for GlideSettings {
             bow: Range::new(-1.2, 1.2),
             skew: Range::new(-1.2, 1.2),
             flatness: Range::new(1.7, 4.5),
-            wave_amplitude_nm: Range::new(0.0, 6.0),
-            wave_length_nm: Range::new(80.0, 400.0),
+            wave_amplitude_nm: Range::new(0.0, 10.0),
+            wave_length_nm: Range::new(100.0, 500.0),
             kinked: 0.15,
             facet_nm: Range::new(25.0, 110.0),
             trail_nm: Range::new(200.0, 1800.0),
@@ -425,18 +426,18 @@ pub struct TangleSettings {
     pub elongation: Range,
     /// Length over which a line forgets its direction.
     pub persistence_nm: Range,
-    /// Length of each line within the tangle, over its half width.
+    /// Length of each line within the tangle, over the length of the tangle.
     pub winding: Range,
 }
 
 impl Default for TangleSettings {
     fn default() -> Self {
         Self {
-            lines: Range::new(4.0, 18.0),
-            radius_nm: Range::new(50.0, 260.0),
-            elongation: Range::new(1.0, 3.5),
-            persistence_nm: Range::new(20.0, 90.0),
-            winding: Range::new(1.5, 5.0),
+            lines: Range::new(3.0, 14.0),
+            radius_nm: Range::new(40.0, 260.0),
+            elongation: Range::new(1.0, 6.0),
+            persistence_nm: Range::new(25.0, 120.0),
+            winding: Range::new(0.7, 2.5),
         }
     }
 }
@@ -448,7 +449,7 @@ impl Default for FoilSettings {
             field_nm: Range::new(500.0, 4000.0),
             thickness_nm: Range::new(60.0, 400.0),
             density_per_m2: Range::new(2e12, 1e14),
-            most_field_lengths: 35.0,
+            field_lengths: Range::new(1.5, 30.0),
             spacing_nm: 2.0,
             margin: 0.15,
             lattices: vec![Lattice::ALUMINIUM, Lattice::CANTOR, Lattice::IRON, Lattice::GAN, Lattice::TIAL],
@@ -477,8 +478,8 @@ impl FoilSettings {
         Self {
             field_nm: Range::new(800.0, 4000.0),
             thickness_nm: Range::new(100.0, 400.0),
-            density_per_m2: Range::new(1e12, 2e13),
-            most_field_lengths: 14.0,
+            density_per_m2: Range::new(2e12, 3e13),
+            field_lengths: Range::new(1.0, 12.0),
             lattices: vec![Lattice::GAN],
             axis_tilt_deg: Some(Range::new(15.0, 90.0)),
             active_planes: Range::new(1.0, 3.0),
@@ -514,7 +515,7 @@ impl FoilSettings {
             field_nm: Range::new(1200.0, 4000.0),
             thickness_nm: Range::new(80.0, 300.0),
             density_per_m2: Range::new(4e12, 5e13),
-            most_field_lengths: 30.0,
+            field_lengths: Range::new(3.0, 30.0),
             lattices: vec![Lattice::TIAL],
             features: weights(&[
                 (Trailing, 4.0),
@@ -522,19 +523,26 @@ impl FoilSettings {
                 (Pair, 2.0),
                 (Tangle, 2.0),
                 (Dipole, 0.7),
-                (Straight, 0.7),
+                (Straight, 0.4),
                 (Source, 1.0),
                 (Junction, 0.8),
                 (Zigzag, 0.5),
                 (HalfLoop, 0.6),
-                (Loop, 0.5),
+                (Loop, 1.0),
                 (Net, 0.3),
             ]),
             variety: 0.7,
             lamellar: 0.9,
+            loops: LoopSettings { radius_nm: Range::new(30.0, 900.0), ..LoopSettings::default() },
+            tangle: TangleSettings {
+                radius_nm: Range::new(25.0, 120.0),
+                elongation: Range::new(2.0, 9.0),
+                ..TangleSettings::default()
+            },
             glide: GlideSettings {
                 trail_nm: Range::new(300.0, 2500.0),
-                wave_amplitude_nm: Range::new(2.0, 14.0),
+                wave_amplitude_nm: Range::new(2.0, 20.0),
+                wave_length_nm: Range::new(150.0, 700.0),
                 ..GlideSettings::default()
             },
             ..Self::default()
@@ -548,7 +556,7 @@ impl FoilSettings {
             field_nm: Range::new(500.0, 2500.0),
             thickness_nm: Range::new(60.0, 250.0),
             density_per_m2: Range::new(2e13, 1e14),
-            most_field_lengths: 40.0,
+            field_lengths: Range::new(4.0, 40.0),
             lattices: vec![Lattice::CANTOR],
             active_planes: Range::new(1.0, 3.0),
             features: weights(&[

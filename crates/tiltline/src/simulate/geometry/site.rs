@@ -54,9 +54,9 @@ impl Site<'_> {
         Range::new(range.low, most).sample(rng).round().max(1.0) as usize
     }
 
-    /// Carries the ends of an open line on to a surface where they lie inside the foil: the way they head, or to the
-    /// nearer surface where they run level.
-    pub fn run_out(&self, points: &mut Vec<Point3>) {
+    /// Carries the ends of an open line on to a surface where they lie inside the foil: the way they head, or down the
+    /// plane (without one, to the nearer surface) where they run level.
+    pub fn run_out(&self, points: &mut Vec<Point3>, plane_normal: Option<Vector3>) {
         for _ in 0..2 {
             points.reverse();
             let Some(&end) = points.last() else { return };
@@ -64,12 +64,16 @@ impl Site<'_> {
                 continue;
             }
             let before = points[points.len().saturating_sub(3)];
-            let heading = (end - before).try_normalize(1e-9).unwrap_or_else(Vector3::zeros);
-            let side = if heading.z.abs() > 0.1 { heading.z.signum() } else { end.z.signum() };
-            // At least 17 degrees down: a line does not run level to nowhere.
-            let slope = heading.z.abs().max(0.3);
-            let step = (0.51 * self.thickness_nm - side * end.z) / slope;
-            points.push(end + Vector3::new(heading.x, heading.y, side * slope) * step);
+            let mut heading = (end - before).try_normalize(1e-9).unwrap_or_else(Vector3::zeros);
+            if heading.z.abs() < 0.25 {
+                let side = if heading.z.abs() > 0.1 { heading.z.signum() } else { end.z.signum() };
+                let down =
+                    plane_normal.map_or(Vector3::z(), |normal| PlaneFrame::new(&normal, &end, self.thickness_nm).down);
+                heading += down * side;
+            }
+            let way = 0.51 * self.thickness_nm - heading.z.signum() * end.z;
+            // On a level plane it leaves by the window.
+            points.push(end + heading * (way / heading.z.abs().max(1e-6)).min(self.reach_nm()));
         }
     }
 
@@ -131,20 +135,27 @@ impl PlaneFrame {
     }
 }
 
-/// A slow random waviness: a few sinusoids of similar wavelength.
+/// A slow random waviness: sinusoids of several wavelengths, the longer the higher.
 #[derive(Clone, Copy, Debug)]
 pub struct Wave {
     terms: [[f64; 3]; 4],
 }
 
 impl Wave {
-    /// Sinusoids around a wavelength; the sum has about this standard deviation.
+    /// Sinusoids around a wavelength; the sum has about this standard deviation, but no more than a twelfth of the wavelength:
+    /// line tension lets no line run to and fro.
     pub fn new(amplitude: f64, wavelength: f64, rng: &mut Pcg64) -> Self {
-        let mut term = || {
-            let number = std::f64::consts::TAU / (wavelength * Range::new(0.6, 1.9).sample(rng)).max(1e-3);
-            [amplitude / 2f64.sqrt(), number, rng.random_range(0.0..std::f64::consts::TAU)]
-        };
-        Self { terms: [term(), term(), term(), term()] }
+        let wavelength = wavelength.max(1e-3);
+        let scales = [2.6, 1.4, 0.8, 0.45].map(|scale| scale * Range::new(0.75, 1.35).sample(rng));
+        let heights = scales.map(|scale| scale.powf(1.3) * rng.random_range(0.3..1.0));
+        let deviation = heights.iter().map(|height| 0.5 * height * height).sum::<f64>().sqrt();
+        let gain = amplitude.min(wavelength / 12.0) / deviation;
+        Self {
+            terms: std::array::from_fn(|term| {
+                let number = std::f64::consts::TAU / (wavelength * scales[term]);
+                [heights[term] * gain, number, rng.random_range(0.0..std::f64::consts::TAU)]
+            }),
+        }
     }
 
     /// The excursion at a distance along the line.

@@ -17,13 +17,14 @@ pub fn tangle(settings: &TangleSettings, site: &Site, rng: &mut Pcg64) -> Vec<Di
     let wide = Vector3::new(-long.y, long.x, 0.0);
     let volume = Volume { centre: site.centre, long: long * (radius * elongation), wide: wide * radius };
     let persistence = settings.persistence_nm.sample_log(rng);
-    let winding = settings.winding.sample(rng) * radius;
+    let winding = settings.winding.sample(rng) * radius * elongation;
     let count = site.count(settings.lines, winding + site.thickness_nm, rng);
     (0..count)
         .map(|_| {
             let system = site.slip_system(rng);
             let start = volume.random_point(site, rng);
-            let along = direction(rng);
+            // Lines run along a long tangle rather than across it.
+            let along = (direction(rng) + long * (sign(rng) * 0.6 * (elongation - 1.0).min(2.5))).normalize();
             let upper = sign(rng);
             let lower = if chance(0.7, rng) { -upper } else { upper };
             let one = volume.walk(start, along, 0.5 * winding, persistence, upper, site, rng);
@@ -68,6 +69,7 @@ impl Volume {
     ) -> Vec<Point3> {
         let half = 0.5 * site.thickness_nm;
         let step = 0.6 * persistence_nm;
+        let drift = 0.15 * (self.long.norm() / self.wide.norm() - 1.0).clamp(0.0, 2.0);
         let (mut at, mut heading, mut travelled) = (start, along, 0.0);
         let mut knots = Vec::new();
         while travelled < length_nm {
@@ -76,7 +78,8 @@ impl Volume {
             let out = self.long * (offset.dot(&self.long) / long.powi(3))
                 + self.wide * (offset.dot(&self.wide) / wide.powi(3));
             let back = -out - Vector3::z() * (0.4 * at.z / half);
-            heading = (heading + direction(rng) * 0.9 + back * 0.5).try_normalize(1e-6).unwrap_or(along);
+            heading =
+                (heading + along * drift + direction(rng) * 0.9 + back * 0.5).try_normalize(1e-6).unwrap_or(along);
             let next = at + heading * (step * rng.random_range(0.5..1.5));
             if next.z.abs() > 0.9 * half {
                 // Reflected: a surface ends the line only where it is meant to.

@@ -40,7 +40,7 @@ impl FoilSettings {
             ("field_nm", self.field_nm, 50.0, 50_000.0),
             ("thickness_nm", self.thickness_nm, 5.0, 5_000.0),
             ("density_per_m2", self.density_per_m2, 1e9, 1e16),
-            ("most_field_lengths", share(self.most_field_lengths), 0.1, 500.0),
+            ("field_lengths", self.field_lengths, 0.01, 500.0),
             ("spacing_nm", share(self.spacing_nm), 0.1, 100.0),
             ("margin", share(self.margin), 0.0, 2.0),
             ("active_planes", self.active_planes, 1.0, 100.0),

@@ -194,7 +194,7 @@ fn broken_files_are_refused_with_the_reason() {
     assert!(matches!(error(good.replace("nodeCount", "burgMag = 2.5\nnodeCount")), ParadisError::Unit { .. }));
     let cut_off = &good[..good.len() - 9];
     let message = error(cut_off.to_owned()).to_string();
-    assert!(message.contains("cut off") && message.starts_with("line 3"), "{message}");
+    assert!(message.contains("cut off") && message.starts_with("line 40"), "{message}");
     // Without periodicity a long arm is simply long.
     let long = good.replace("-400.0", "-900.0");
     assert!(Network::parse(&long, &ReadOptions { periodic: false, ..UNIT }).is_ok());
