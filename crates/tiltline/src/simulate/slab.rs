@@ -3,8 +3,8 @@
 use nalgebra::UnitQuaternion;
 
 use super::foil::{Dislocation, Foil};
-use super::geometry::cut;
 use super::geometry::polyline::{HalfSpace, box_region, length};
+use super::geometry::{clip, resample};
 use super::paradis::Network;
 use crate::geometry::{Point3, Vector3};
 
@@ -133,7 +133,7 @@ pub fn foil_from_network(network: &Network, settings: &Cut) -> Result<Foil, CutE
             plane_normal: lines[line].plane_normal.map(|normal| specimen_from_network * normal),
         })
         .collect();
-    // They are inside already; resampled, and ends put exactly on the surfaces.
-    let dislocations = cut(&turned, &[], *thickness_nm, *spacing_nm);
+    // Cut once more in the specimen frame, which takes the rounding of the rotation back out.
+    let dislocations = resample(clip(&turned, &foil_region[4..], *thickness_nm), *spacing_nm);
     Ok(Foil { thickness_nm: *thickness_nm, size_nm: *size_nm, dislocations })
 }

@@ -10,6 +10,7 @@
 
 pub mod arrays;
 pub mod crystal;
+pub mod feature;
 pub mod glide;
 pub mod loops;
 pub mod network;
@@ -26,8 +27,9 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 pub use crystal::{Crystal, Lattice, SlipSystem};
+pub use feature::Feature;
 pub use seed::{Split, geometry_rng, geometry_seed};
-pub use settings::{Feature, FoilSettings, Range, Weight};
+pub use settings::{FoilSettings, Range, Weight};
 pub use validate::FoilSettingsError;
 
 use crate::geometry::{Point3, Vector3};
@@ -89,7 +91,7 @@ const SHORTEST_PIECE_NM: f64 = 3.0;
 /// A feature may overfill the foil by this share of the length asked for.
 const TOLERANCE: f64 = 0.1;
 /// Features in a row that may fail to fit before the foil counts as full.
-const PATIENCE: usize = 20;
+const PATIENCE: usize = 16;
 
 /// A crystal and its active slip systems.
 struct Grain {
@@ -169,7 +171,7 @@ impl<'a> Growth<'a> {
             } else if added_nm <= budget_nm + TOLERANCE * self.wanted_nm {
                 length_nm += added_nm;
                 self.centres.push(centre);
-                self.dislocations.extend(lines);
+                self.dislocations.extend(resample(lines, self.settings.spacing_nm));
                 (best, failures) = (None, 0);
             } else {
                 failures += 1;
@@ -182,12 +184,12 @@ impl<'a> Growth<'a> {
         if let Some((added_nm, lines)) = best {
             let missing_nm = self.wanted_nm - length_nm;
             if added_nm - missing_nm < missing_nm || self.dislocations.is_empty() {
-                self.dislocations.extend(lines);
+                self.dislocations.extend(resample(lines, self.settings.spacing_nm));
             }
         }
     }
 
-    /// One feature somewhere, cut and resampled.
+    /// One feature somewhere, cut to the foil.
     fn feature(&self, budget_nm: f64, rng: &mut Pcg64) -> (Point3, Vec<Dislocation>) {
         let feature = self.draw_feature(rng);
         let mut centre = self.draw_centre(rng);
@@ -221,7 +223,7 @@ impl<'a> Growth<'a> {
                 region.push(HalfSpace { normal: -wall.normal, offset: -wall.offset });
             }
         }
-        (centre, cut(&lines, &region, self.thickness_nm, self.settings.spacing_nm))
+        (centre, clip(&lines, &region, self.thickness_nm))
     }
 
     fn draw_feature(&self, rng: &mut Pcg64) -> Feature {
@@ -258,17 +260,10 @@ impl<'a> Growth<'a> {
     }
 }
 
-/// Length of the part of a line whose segments have their middle in the field of view, nm.
+/// Length of the part of a line in the field of view, a rectangle of `size_nm` around the axis, nm.
 pub fn length_in_field_nm(line: &Dislocation, size_nm: [f64; 2]) -> f64 {
-    let inside = |a: &Point3, b: &Point3| {
-        (0.5 * (a.x + b.x)).abs() <= 0.5 * size_nm[0] && (0.5 * (a.y + b.y)).abs() <= 0.5 * size_nm[1]
-    };
-    let segment = |a: &Point3, b: &Point3| if inside(a, b) { (b - a).norm() } else { 0.0 };
-    let open: f64 = line.points.windows(2).map(|pair| segment(&pair[0], &pair[1])).sum();
-    match (line.closed, line.points.first(), line.points.last()) {
-        (true, Some(first), Some(last)) => open + segment(last, first),
-        _ => open,
-    }
+    let corner = Point3::new(0.5 * size_nm[0], 0.5 * size_nm[1], f64::INFINITY);
+    polyline::length_inside(&line.points, line.closed, &polyline::box_region(-corner, corner)[..4])
 }
 
 /// Boundaries that fill a radius around the origin, and the crystals between them: variants turned by multiples of 60 degrees
@@ -372,38 +367,36 @@ fn grow(feature: Feature, settings: &FoilSettings, site: &Site, rng: &mut Pcg64)
     lines
 }
 
-/// Lines cut to a region, with points at most `spacing_nm` apart.
-pub fn cut(lines: &[Dislocation], region: &[HalfSpace], thickness_nm: f64, spacing_nm: f64) -> Vec<Dislocation> {
+/// The parts of lines in a region; points as given, and where cut.
+pub(super) fn clip(lines: &[Dislocation], region: &[HalfSpace], thickness_nm: f64) -> Vec<Dislocation> {
     let mut pieces = Vec::new();
     for line in lines {
-        for piece in polyline::clip(&line.points, line.closed, region) {
+        for mut piece in polyline::clip(&line.points, line.closed, region) {
             if piece.cut == [true, true] && polyline::length(&piece.points, false) < SHORTEST_PIECE_NM {
                 continue;
             }
-            let mut points = polyline::resample(&piece.points, piece.closed, spacing_nm);
-            if points.len() < 2 {
-                continue;
-            }
-            // Takes the rounding of the cut back out: cut ends lie on the surface exactly.
+            // Takes the rounding of the cut back out: ends at a surface lie on it exactly.
             let half = 0.5 * thickness_nm;
-            for point in &mut points {
-                point.z = point.z.clamp(-half, half);
-            }
-            let last = points.len() - 1;
-            for (end, was_cut) in [0, last].into_iter().zip(piece.cut) {
-                if was_cut && half - points[end].z.abs() < 1e-9 * thickness_nm {
-                    points[end].z = half.copysign(points[end].z);
+            let last = piece.points.len() - 1;
+            for (index, point) in piece.points.iter_mut().enumerate() {
+                let at_end = index == 0 || index == last;
+                if point.z.abs() > half || (at_end && half - point.z.abs() < 1e-9 * thickness_nm) {
+                    point.z = half.copysign(point.z);
                 }
             }
-            pieces.push(Dislocation {
-                points,
-                closed: piece.closed,
-                burgers_nm: line.burgers_nm,
-                plane_normal: line.plane_normal,
-            });
+            pieces.push(Dislocation { points: piece.points, closed: piece.closed, ..*line });
         }
     }
     pieces
+}
+
+/// The same lines with points at most `spacing_nm` apart; lines of no length are left out.
+pub(super) fn resample(lines: Vec<Dislocation>, spacing_nm: f64) -> Vec<Dislocation> {
+    let resampled = lines.into_iter().map(|line| {
+        let points = polyline::resample(&line.points, line.closed, spacing_nm);
+        Dislocation { points, ..line }
+    });
+    resampled.filter(|line| line.points.len() > 1).collect()
 }
 
 #[cfg(test)]

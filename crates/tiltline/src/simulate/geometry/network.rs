@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 use super::crystal::SlipSystem;
 use super::polyline::spline;
 use super::settings::NetworkSettings;
-use super::site::{PlaneFrame, Site, azimuth, chance, direction, open_line, sign};
+use super::site::{PlaneFrame, Site, Wave, azimuth, chance, direction, open_line, sign};
 use crate::geometry::{Point3, Vector3};
 use crate::simulate::foil::Dislocation;
 
@@ -58,12 +58,15 @@ fn arm(
     let bend = normal.cross(&along) * settings.sag.sample(rng);
     // Sag on the scale of the foil, not of a line that runs level for micrometres.
     let scale = reach.min(2.0 * site.thickness_nm);
-    let knots: Vec<Point3> = [0.0, 0.15, 0.35, 0.65, 1.0]
-        .iter()
-        .map(|&share| {
-            let way = share * reach;
+    let across = normal.cross(&along);
+    let wave = Wave::new(0.03 * scale, 1.5 * scale, rng);
+    let steps = ((reach / (0.15 * scale)).ceil() as usize).max(4);
+    let knots: Vec<Point3> = (0..=steps)
+        .map(|step| {
+            let way = reach * step as f64 / steps as f64;
             let profile = (way / scale).min(1.0);
-            from + along * way + bend * (4.0 * scale * profile * (1.0 - 0.5 * profile) * 0.5)
+            let aside = wave.at(way) * profile;
+            from + along * way + bend * (2.0 * scale * profile * (1.0 - 0.5 * profile)) + across * aside
         })
         .collect();
     let mut points = spline(&knots, false, site.spacing_nm);

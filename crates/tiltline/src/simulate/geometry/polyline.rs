@@ -51,6 +51,18 @@ pub fn length(points: &[Point3], closed: bool) -> f64 {
     }
 }
 
+/// Length of the parts of a polyline inside a convex region.
+pub fn length_inside(points: &[Point3], closed: bool, region: &[HalfSpace]) -> f64 {
+    let inside = |start: &Point3, end: &Point3| {
+        span_inside(start, end, region).map_or(0.0, |[enter, leave]| (leave - enter) * (end - start).norm())
+    };
+    let open: f64 = points.windows(2).map(|pair| inside(&pair[0], &pair[1])).sum();
+    match (closed, points.first(), points.last()) {
+        (true, Some(first), Some(last)) => open + inside(last, first),
+        _ => open,
+    }
+}
+
 /// The same polyline with points at equal arc lengths, at most `spacing` apart; the ends are kept exactly. A closed
 /// polyline has its first point once.
 pub fn resample(points: &[Point3], closed: bool, spacing: f64) -> Vec<Point3> {
@@ -259,6 +271,14 @@ mod tests {
             clip(&circle(4.0, 40), true, &box_region(Point3::new(50.0, 0.0, 0.0), Point3::new(60.0, 1.0, 1.0)))
                 .is_empty()
         );
+    }
+
+    #[test]
+    fn the_length_inside_is_that_of_the_pieces() {
+        let ring = circle(10.0, 4000);
+        let pieces: f64 = clip(&ring, true, &slab(5.0)).iter().map(|piece| length(&piece.points, false)).sum();
+        assert_relative_eq!(length_inside(&ring, true, &slab(5.0)), pieces, epsilon = 1e-9);
+        assert_relative_eq!(length_inside(&ring, true, &slab(50.0)), length(&ring, true), epsilon = 1e-9);
     }
 
     #[test]

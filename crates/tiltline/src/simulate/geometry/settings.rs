@@ -8,6 +8,7 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::crystal::Lattice;
+use super::feature::Feature;
 
 /// A range of values, written `[low, high]`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,92 +52,6 @@ impl Range {
     pub fn sample_log(&self, rng: &mut Pcg64) -> f64 {
         // The clamp takes the rounding of exp and ln back out: `exactly` stays exact.
         (self.low.ln() + (self.high / self.low).ln() * rng.random::<f64>()).exp().clamp(self.low, self.high)
-    }
-}
-
-/// The kinds of lines that grow in a foil.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Feature {
-    /// A line from surface to surface, little bowed, on no particular plane.
-    Threading,
-    /// A bowed line across its slip plane.
-    Bowed,
-    /// A line with both ends on one surface.
-    HalfLoop,
-    /// A gliding line that trails a long segment along its slip plane.
-    Trailing,
-    /// A segment bowed out between two pinning points, its arms on to the surfaces (Frank-Read source).
-    Source,
-    /// A long straight line in a crystallographic direction.
-    Straight,
-    /// A line that alternates between two directions.
-    Zigzag,
-    /// A screw turned into a helix by climb.
-    Helix,
-    /// A closed loop.
-    Loop,
-    /// Two lines with the same Burgers vector side by side (superdislocation).
-    Pair,
-    /// Two lines with opposite Burgers vectors on neighbouring planes.
-    Dipole,
-    /// Two lines joined along the line where their planes meet: two nodes of three arms.
-    Junction,
-    /// A piece of a low-angle boundary: a hexagonal net.
-    Net,
-    /// A row of similar lines pressed against an obstacle.
-    PileUp,
-    /// Similar lines on one slip plane at irregular distances.
-    SlipBand,
-    /// One or more sets of parallel lines in an interface nearly parallel to the foil.
-    Misfit,
-    /// Many irregular lines in a small volume.
-    Tangle,
-}
-
-impl Feature {
-    /// Every kind.
-    pub const ALL: [Feature; 17] = [
-        Feature::Threading,
-        Feature::Bowed,
-        Feature::HalfLoop,
-        Feature::Trailing,
-        Feature::Source,
-        Feature::Straight,
-        Feature::Zigzag,
-        Feature::Helix,
-        Feature::Loop,
-        Feature::Pair,
-        Feature::Dipole,
-        Feature::Junction,
-        Feature::Net,
-        Feature::PileUp,
-        Feature::SlipBand,
-        Feature::Misfit,
-        Feature::Tangle,
-    ];
-
-    /// The word used in settings files.
-    pub fn word(self) -> &'static str {
-        match self {
-            Feature::Threading => "threading",
-            Feature::Bowed => "bowed",
-            Feature::HalfLoop => "half_loop",
-            Feature::Trailing => "trailing",
-            Feature::Source => "source",
-            Feature::Straight => "straight",
-            Feature::Zigzag => "zigzag",
-            Feature::Helix => "helix",
-            Feature::Loop => "loop",
-            Feature::Pair => "pair",
-            Feature::Dipole => "dipole",
-            Feature::Junction => "junction",
-            Feature::Net => "net",
-            Feature::PileUp => "pile_up",
-            Feature::SlipBand => "slip_band",
-            Feature::Misfit => "misfit",
-            Feature::Tangle => "tangle",
-        }
     }
 }
 
@@ -449,7 +364,7 @@ impl Default for FoilSettings {
             field_nm: Range::new(500.0, 4000.0),
             thickness_nm: Range::new(60.0, 400.0),
             density_per_m2: Range::new(2e12, 1e14),
-            field_lengths: Range::new(1.5, 30.0),
+            field_lengths: Range::new(2.5, 30.0),
             spacing_nm: 2.0,
             margin: 0.15,
             lattices: vec![Lattice::ALUMINIUM, Lattice::CANTOR, Lattice::IRON, Lattice::GAN, Lattice::TIAL],
@@ -479,7 +394,7 @@ impl FoilSettings {
             field_nm: Range::new(800.0, 4000.0),
             thickness_nm: Range::new(100.0, 400.0),
             density_per_m2: Range::new(2e12, 3e13),
-            field_lengths: Range::new(1.0, 12.0),
+            field_lengths: Range::new(1.5, 12.0),
             lattices: vec![Lattice::GAN],
             axis_tilt_deg: Some(Range::new(15.0, 90.0)),
             active_planes: Range::new(1.0, 3.0),
@@ -515,7 +430,7 @@ impl FoilSettings {
             field_nm: Range::new(1200.0, 4000.0),
             thickness_nm: Range::new(80.0, 300.0),
             density_per_m2: Range::new(4e12, 5e13),
-            field_lengths: Range::new(3.0, 30.0),
+            field_lengths: Range::new(5.0, 30.0),
             lattices: vec![Lattice::TIAL],
             features: weights(&[
                 (Trailing, 4.0),

@@ -4,7 +4,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::polyline::spline;
-use super::settings::TangleSettings;
+use super::settings::{Range, TangleSettings};
 use super::site::{Site, azimuth, chance, direction, facetted, open_line, sign};
 use crate::geometry::{Point3, Vector3};
 use crate::simulate::foil::Dislocation;
@@ -18,7 +18,9 @@ pub fn tangle(settings: &TangleSettings, site: &Site, rng: &mut Pcg64) -> Vec<Di
     let volume = Volume { centre: site.centre, long: long * (radius * elongation), wide: wide * radius };
     let persistence = settings.persistence_nm.sample_log(rng);
     let winding = settings.winding.sample(rng) * radius * elongation;
-    let count = site.count(settings.lines, winding + site.thickness_nm, rng);
+    // A small tangle of many lines would be a ball of wool.
+    let room = (2.0 + radius * elongation / 20.0).clamp(settings.lines.low, settings.lines.high);
+    let count = site.count(Range::new(settings.lines.low, room), winding + site.thickness_nm, rng);
     (0..count)
         .map(|_| {
             let system = site.slip_system(rng);

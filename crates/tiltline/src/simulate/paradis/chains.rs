@@ -78,7 +78,8 @@ impl Network {
     ) -> Option<Vec<(usize, Piece)>> {
         let size = self.size_nm();
         let reach = (high - low).component_div(&size);
-        if self.periodic && !(reach.iter().map(|side| side + 1.0).product::<f64>() <= most_images) {
+        let images: f64 = reach.iter().map(|side| side + 1.0).product();
+        if self.periodic && (images.is_nan() || images > most_images) {
             return None;
         }
         let mut pieces = Vec::new();
