@@ -9,7 +9,10 @@ pub mod field;
 pub mod foil;
 pub mod parametric;
 pub mod physics;
+pub mod geometry;
+pub mod paradis;
 pub mod scene;
+pub mod slab;
 pub mod view;
 
 pub use camera::Camera;
