@@ -53,14 +53,7 @@ impl Camera {
             [(point.x - z * sin) / cos, point.y]
         };
         let (origin, right, down) = (at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0));
-        [
-            right[0] - origin[0],
-            down[0] - origin[0],
-            origin[0],
-            right[1] - origin[1],
-            down[1] - origin[1],
-            origin[1],
-        ]
+        [right[0] - origin[0], down[0] - origin[0], origin[0], right[1] - origin[1], down[1] - origin[1], origin[1]]
     }
 }
 

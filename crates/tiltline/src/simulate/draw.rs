@@ -19,7 +19,10 @@ pub struct Near {
 /// Calls `paint(row, column, near)` once for each pixel within `reach` px of a polyline, row by row.
 pub fn stroke(shape: [usize; 2], polyline: &[Point2], reach: f64, mut paint: impl FnMut(usize, usize, Near)) {
     let bounds = |coordinate: fn(&Point2) -> f64| {
-        polyline.iter().map(coordinate).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+        polyline
+            .iter()
+            .map(coordinate)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
     };
     let ((left, right), (top, bottom)) = (bounds(|point| point.x), bounds(|point| point.y));
     let Some(columns) = pixel_range(left - reach, right + reach, shape[1]) else { return };

@@ -61,8 +61,9 @@ mod tests {
     #[test]
     fn a_field_has_mean_zero_variance_one_and_no_jumps() {
         let field = SmoothField::new(&mut Pcg64::seed_from_u64(1), 4000.0, 10.0);
-        let values: Vec<f64> =
-            (0..90_000).map(|i| f64::from(field.at((i % 300) as f64 * 11.3 - 1700.0, (i / 300) as f64 * 11.3 - 1700.0))).collect();
+        let values: Vec<f64> = (0..90_000)
+            .map(|i| f64::from(field.at((i % 300) as f64 * 11.3 - 1700.0, (i / 300) as f64 * 11.3 - 1700.0)))
+            .collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64;
         // 300 x 300 nearly independent values: three standard errors of the mean are 0.01, of the variance 0.014; the

@@ -49,7 +49,8 @@ pub fn family(rng: &mut Pcg64, extent_px: f64, thickness_px: f64) -> Vec<Boundar
         let mut next = Boundary::random(rng, extent_px, thickness_px, direction + turn, inclination);
         if alike {
             let model = &boundaries[0];
-            next = Boundary { normal: next.normal, offset_px: next.offset_px, view_seed: next.view_seed, ..model.clone() };
+            next =
+                Boundary { normal: next.normal, offset_px: next.offset_px, view_seed: next.view_seed, ..model.clone() };
         }
         boundaries.push(next);
     }
@@ -89,7 +90,10 @@ impl Boundary {
         let width = self.edge_px;
         let darkness = self.darkness * (1.0 + 0.25 * per_view(self.view_seed, index));
         // An edge-on boundary absorbs along the whole column: the narrower the band, the darker.
-        let reach = half_band + 3.0 * width + self.rim.map_or(0.0, |(offset, rim_width, _)| offset.abs() + 3.0 * rim_width) + 4.0;
+        let reach = half_band
+            + 3.0 * width
+            + self.rim.map_or(0.0, |(offset, rim_width, _)| offset.abs() + 3.0 * rim_width)
+            + 4.0;
         let columns = image.ncols();
         let pixels = image.as_slice_mut().expect("images made here are in standard layout");
         pixels.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {

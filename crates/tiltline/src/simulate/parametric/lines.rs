@@ -177,8 +177,9 @@ impl Line {
             shift_px: if chance(rng, 0.5) { sigma_px * rng.random_range(-1.2..1.2) } else { 0.0 },
             fade_px: if chance(rng, 0.4) { rng.random_range(3.0..40.0) } else { 1.0 },
             view_seed: rng.random_range(0..u64::MAX),
-            weak_view: chance(rng, look.one_sided)
-                .then(|| (usize::from(chance(rng, 0.5)), if chance(rng, 0.5) { 0.0 } else { rng.random_range(0.1..0.5) })),
+            weak_view: chance(rng, look.one_sided).then(|| {
+                (usize::from(chance(rng, 0.5)), if chance(rng, 0.5) { 0.0 } else { rng.random_range(0.1..0.5) })
+            }),
             irregular: style.irregular.clone(),
         }
     }
@@ -197,7 +198,11 @@ impl Line {
             let (i, t) = (near.place as usize, near.place.fract());
             let local = contrast[i.min(last)] * (1.0 - t) + contrast[(i + 1).min(last)] * t;
             // Beyond the ends the line is a half-disc of its own profile.
-            let across = if near.across.abs() < 0.999 * near.distance { near.distance.copysign(near.across) } else { near.across };
+            let across = if near.across.abs() < 0.999 * near.distance {
+                near.distance.copysign(near.across)
+            } else {
+                near.across
+            };
             image[[row, column]] *= 1.0 - local * profile.at((across - shift) / sigma);
         });
         let centre = shift + profile.centre() * sigma;
