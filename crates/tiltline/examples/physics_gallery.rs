@@ -11,7 +11,7 @@ use std::error::Error;
 use std::f64::consts::PI;
 use std::path::Path;
 
-use ndarray::{Array2, s};
+use ndarray::Array2;
 use tiltline::filter::percentiles;
 use tiltline::geometry::{Point3, Vector3};
 use tiltline::simulate::physics::{Detector, PhysicsSettings, PhysicsView, image};
@@ -49,7 +49,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         let stretched = intensity.mapv(|value| ((value - low) / (high - low).max(1e-3)).clamp(0.0, 1.0));
         write_png(&folder.join(format!("{:02}-{}.png", index + 1, case.name)), &stretched)?;
         let (top, left) = ((index / across) * cell, (index % across) * cell);
-        sheet.slice_mut(s![top..top + SIDE_PX, left..left + SIDE_PX]).assign(&stretched);
+        for ((row, column), value) in stretched.indexed_iter() {
+            sheet[[top + row, left + column]] = *value;
+        }
     }
     write_png(&folder.join("gallery.png"), &sheet)
 }

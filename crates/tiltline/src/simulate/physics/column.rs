@@ -1,7 +1,7 @@
 //! Two beams through one column of a strained crystal (column approximation).
 //!
 //! The strain enters the equations of [`super::perfect`] only as a local deviation `sigma(z) = s + beta(z)`, with
-//! `beta = d(g . R)/dz` (Hirsch et al. 1965, equation 10.7). The column is cut into slices, halved until each is short
+//! `beta = d(g . R)/dz` (Hirsch et al. 1965, chapter 10). The column is cut into slices, halved until each is short
 //! against its distance to every core; over a slice the exponential of the fourth-order Magnus expansion with two Gauss
 //! points is taken in closed form (Iserles & Norsett 1999): with `eta = sqrt(3)/6 pi h (sigma_1 - sigma_2)`,
 //!

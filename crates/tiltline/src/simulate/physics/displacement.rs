@@ -1,7 +1,7 @@
 //! Displacement of a straight, infinite mixed dislocation in an isotropic crystal, and its derivative along the beam.
 //!
-//! J. Hirth & J. Lothe, *Theory of Dislocations* (2nd ed. 1982), equations 3-2 (screw) and 3-45 (edge, with the
-//! dilatation terms); in the vector form of Hirsch et al. (1965) section 7.8:
+//! J. Hirth & J. Lothe, *Theory of Dislocations* (2nd ed. 1982), chapter 3 (screw; edge with the dilatation
+//! terms); in the vector form of Hirsch et al. (1965), chapter 7:
 //!
 //! `R = 1/(2 pi) [ b theta + 1/(4 (1 - nu)) { b_e sin 2 phi + (b x u) (2 (1 - 2 nu) ln r + cos 2 phi) } ]`
 //!
@@ -125,7 +125,7 @@ mod tests {
         }
     }
 
-    /// Hirth & Lothe equation 3-45 written out for b along x and the line along z.
+    /// Hirth & Lothe, chapter 3, written out for b along x and the line along z.
     #[test]
     fn an_edge_has_the_textbook_components() {
         let (b, nu) = (0.25, 0.3);

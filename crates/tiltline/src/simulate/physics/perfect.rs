@@ -130,7 +130,7 @@ mod tests {
         PhysicsSettings { normal_absorption_ratio: 0.0, anomalous_absorption_ratio: 0.0, ..PhysicsSettings::default() }
     }
 
-    /// Hirsch et al. equation 8.22: `I_g = sin^2(pi t k) / (xi_g k)^2`, `k^2 = s^2 + 1/xi_g^2`; fringes of period xi_eff.
+    /// Hirsch et al., chapter 8: `I_g = sin^2(pi t k) / (xi_g k)^2`, `k^2 = s^2 + 1/xi_g^2`; fringes of period xi_eff.
     #[test]
     fn without_absorption_the_rocking_curve_and_the_fringes_are_the_textbook_ones() {
         for s in [-0.03, 0.0, 0.01, 0.05] {

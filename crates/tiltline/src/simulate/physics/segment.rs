@@ -1,6 +1,6 @@
 //! `d(g . R)/dz` of a straight segment of a dislocation in an isotropic crystal, for many depths of one column at once.
 //!
-//! From Burgers' formula (Hirth & Lothe 1982, equation 4-6; de Wit 1960) for a curve made of straight pieces. With
+//! From Burgers' formula (Hirth & Lothe 1982, chapter 4) for a curve made of straight pieces. With
 //! `L(r) = integral over the piece of dl / |r - r'|`, rho the vector from the piece's line to r, `c = u x b`:
 //!
 //! `grad of (b Omega / 4 pi)  ->  -b (u x grad L) / 4 pi`,

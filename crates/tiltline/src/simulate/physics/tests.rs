@@ -60,8 +60,8 @@ fn contrast(profile: &[(f64, f64)], background: f64) -> f64 {
     profile.iter().map(|(_, value)| (value / background - 1.0).abs()).fold(0.0, f64::max)
 }
 
-/// Hirsch et al. (1965) equations 8.20 as printed, with their phases `exp(+-2 pi i (s z + g . R))` and absorption, by
-/// Runge-Kutta steps: knows neither Magnus, nor slices, nor segments.
+/// The Howie-Whelan equations of Hirsch et al. (1965), chapter 10, with their phases `exp(+-2 pi i (s z + g . R))` and
+/// absorption, by Runge-Kutta steps: knows neither Magnus, nor slices, nor segments.
 fn by_runge_kutta(line: &StraightLine, settings: &PhysicsSettings, thickness: f64, x: f64, steps: usize) -> [f64; 2] {
     let i = Complex::<f64>::i();
     let q = Complex::new(1.0, settings.anomalous_absorption_ratio) / settings.extinction_distance_nm;
