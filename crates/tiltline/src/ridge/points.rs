@@ -167,7 +167,7 @@ fn crest(scale: &Scale, start: Point2, across: Vector2) -> Point2 {
         // The polarity does not matter: an extreme point is one in both.
         let shift = if curvature == 0.0 { 0.0 } else { f64::from(-slope / curvature) * step };
         offset += shift.clamp(-step, step);
-        if !(offset.abs() <= limit) {
+        if offset.is_nan() || offset.abs() > limit {
             return start;
         }
         if shift.abs() < 0.005 {

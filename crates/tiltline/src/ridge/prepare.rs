@@ -57,7 +57,11 @@ fn data_mask(image: &Array2<f32>) -> Array2<bool> {
         let value = image[[row, column]];
         value <= darkest
             && [(row + 1, column), (row, column + 1)].iter().all(|&(row, column)| {
-                row >= height || column >= width || !((image[[row, column]] - value).abs() > 1e-6)
+                // Beside a gap there is nothing to differ from.
+                row >= height
+                    || column >= width
+                    || image[[row, column]].is_nan()
+                    || (image[[row, column]] - value).abs() <= 1e-6
             })
     };
     let mut seen = Array2::from_elem((height, width), false);
