@@ -1,4 +1,5 @@
 //! The command as a user types it.
+#![allow(clippy::unwrap_used, clippy::print_stderr)] // a failed unwrap is a failed test
 
 use std::fs;
 use std::path::{Path, PathBuf};

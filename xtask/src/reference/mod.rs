@@ -13,7 +13,13 @@ use crate::venv::Venv;
 /// A topic's name and what it runs.
 type Topic = (&'static str, fn(&Venv) -> Result<()>);
 
-const TOPICS: &[Topic] = &[("formats", formats::run), ("readers", readers::run), ("sgbm", sgbm::run), ("sift", sift::run), ("trace", trace::run)];
+const TOPICS: &[Topic] = &[
+    ("formats", formats::run),
+    ("readers", readers::run),
+    ("sgbm", sgbm::run),
+    ("sift", sift::run),
+    ("trace", trace::run),
+];
 
 /// Runs the named topics, or all.
 pub fn run(names: &[String]) -> Result<()> {

@@ -1,5 +1,5 @@
 //! What several test files use: golden files, and truth for rendered pairs.
-#![allow(dead_code)]
+#![allow(dead_code, clippy::unwrap_used)] // clippy.toml allows it in tests, but does not see helpers as such
 
 pub mod truth;
 

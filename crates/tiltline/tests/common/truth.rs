@@ -1,5 +1,5 @@
 //! Truth for rendered pairs and the two simplest scores of a result against it.
-#![allow(dead_code)]
+#![allow(dead_code, clippy::unwrap_used)] // clippy.toml allows it in tests, but does not see helpers as such
 
 use tiltline::curve::{CurvePoint, Flag};
 use tiltline::geometry::{Point2, TiltPair, angle_to_row};
