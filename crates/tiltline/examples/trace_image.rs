@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p tiltline --example trace_image -- IMAGE.png OUT.png [dark|bright|auto] [SENSITIVITY]`
 //!
-//! `IMAGE.png` may be `scene:SEED:CONTRAST`: a rendered scene, whose true curves are then drawn in cyan.
+//! `OUT.png` may be `-` for no picture. `IMAGE.png` may be `scene:SEED:CONTRAST`: a rendered scene, whose true curves are then drawn in cyan.
 //!
 //! Red: traces; yellow dots: junctions; green: ends at the border; blue: free ends. Eight-bit grey PNG only.
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
@@ -74,7 +74,9 @@ fn main() {
         };
         println!("  completeness {:.3}, correctness {:.3} at 2 px", near(&truth, &traced), near(&traced, &truth));
     }
-    draw(&image, &truth, &graph, output);
+    if output != "-" {
+        draw(&image, &truth, &graph, output);
+    }
 }
 
 fn read_grey(path: &str) -> Array2<f32> {
