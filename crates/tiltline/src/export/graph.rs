@@ -1,7 +1,7 @@
 //! Curves as nodes and segments that share their junctions: what tree and network formats are made of.
 //!
 //! A junction is known from the left image. In the foil the ends that meet there must also agree in depth: ends that
-//! differ from the others by more than [`MAX_DISAGREEMENT`] standard deviations only cross in projection and are not
+//! differ from the others by more than `MAX_DISAGREEMENT` standard deviations only cross in projection and are not
 //! joined. Lengths are in the unit of the reconstruction.
 
 use std::collections::BTreeMap;

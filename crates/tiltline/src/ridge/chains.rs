@@ -285,7 +285,7 @@ impl Judge<'_> {
         let doubt_of_blob = ramp(elongation, 2.0, 4.0);
         let by_length = weight_of_length(length_px);
         let by_width = 1.0 - ramp(width_px, self.widest_px, 1.3 * self.widest_px);
-        let by_streak = if self.is_streak(&positions) { 0.0 } else { 1.0 };
+        let by_streak = self.trust_beside_streaks(&positions);
         // A strong spot reaches far along the elongated kernels: what counts is what most of the places there support.
         let supported = |(index, local): (&usize, &f64)| {
             let point = &points[*index];
@@ -294,7 +294,8 @@ impl Judge<'_> {
         let alone: Vec<f64> =
             order.iter().map(|index| self.local_response(&points[*index], points[*index].scale)).collect();
         let significance: Vec<f64> = order.iter().zip(&running_median(&alone, WINDOW)).map(supported).collect();
-        let trust = left[span.clone()].iter().zip(&right[span.clone()]).map(|(left, right)| {
+        let sides = left[span.clone()].iter().zip(&right[span.clone()]);
+        let trust = sides.zip(&by_streak).map(|((left, right), by_streak)| {
             let two_sided = ramp(left.min(*right) / left.max(*right).max(1e-9), ONE_SIDED[0], ONE_SIDED[1]);
             two_sided * doubt_of_blob * by_width * by_streak
         });
@@ -360,18 +361,38 @@ impl Judge<'_> {
         log_sigma.exp() * (8.0 * 2.0_f64.ln()).sqrt()
     }
 
-    /// Whether a chain is straight and runs along a direction in which streaks were found.
-    fn is_streak(&self, positions: &[Point2]) -> bool {
+    /// 0 at points on a streak, 1 elsewhere: on a chain that is one as a whole, or a straight stretch that runs along a
+    /// direction in which streaks were found.
+    fn trust_beside_streaks(&self, positions: &[Point2]) -> Vec<f64> {
+        const HALF_STRETCH: usize = 25;
+        if self.streaks_rad.is_empty() {
+            return vec![1.0; positions.len()];
+        }
+        if self.is_streak(positions, 1.2) {
+            return vec![0.0; positions.len()];
+        }
+        let mut trust = vec![1.0; positions.len()];
+        for first in 0..positions.len().saturating_sub(2 * HALF_STRETCH) {
+            let stretch = first..=first + 2 * HALF_STRETCH;
+            // Bowed lines are level for a while too: over 50 px they leave the chord by more than this.
+            if self.is_streak(&positions[stretch.clone()], 0.5) {
+                trust[stretch].fill(0.0);
+            }
+        }
+        trust
+    }
+
+    /// Whether points are straight to within `rms_px` and run along a direction in which streaks were found.
+    fn is_streak(&self, positions: &[Point2], rms_px: f64) -> bool {
         let (Some(first), Some(last)) = (positions.first(), positions.last()) else { return false };
         let chord = last - first;
         let Some(along) = chord.try_normalize(1e-9) else { return false };
-        let rms = (positions.iter().map(|point| along.perp(&(point - first)).powi(2)).sum::<f64>()
-            / positions.len() as f64)
-            .sqrt();
+        let squares: f64 = positions.iter().map(|point| along.perp(&(point - first)).powi(2)).sum();
         self.streaks_rad.iter().any(|streak| {
             let off = (along.x * streak.sin() - along.y * streak.cos()).abs().min(1.0).asin();
             // Short pieces have less certain directions: half a px at each end.
-            off < STREAK_TOLERANCE_DEG.to_radians() + 0.7 / chord.norm().max(1.0) && rms < 1.2
+            off < STREAK_TOLERANCE_DEG.to_radians() + 0.7 / chord.norm().max(1.0)
+                && squares < rms_px * rms_px * positions.len() as f64
         })
     }
 

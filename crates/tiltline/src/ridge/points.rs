@@ -73,7 +73,7 @@ impl Strongest {
         let which = self.scale.as_slice_mut().expect("made in standard layout");
         let spacing = scale.spacing() as f32;
         // White noise favours kernels wider than the line: a price on width keeps neighbouring lines apart.
-        let price = scale.sigma_px.powf(-0.5) as f32;
+        let price = scale.sigma_px.powf(-0.3) as f32;
         let place = move |index: usize, count: usize| {
             let at = ((index as f32 + 0.5) / spacing - 0.5).clamp(0.0, (count - 1) as f32);
             let low = (at as usize).min(count.saturating_sub(2));

@@ -61,7 +61,7 @@ pub fn trace_within(lines: &LineMap, has_data: Option<&Array2<bool>>, settings: 
     network.prune_spurs(1.5 * width_px);
     network.resolve_crossings();
     network.bridge_gaps((3.0 * width_px).max(6.0));
-    network.attach_ends(1.5 * width_px + 3.0);
+    network.attach_ends(2.0 * width_px + 3.0);
     network.prune_spurs(1.5 * width_px);
     network.drop_short(settings.min_length_px);
     finish(map, has_data, &network, width_px)

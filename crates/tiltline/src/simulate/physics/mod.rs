@@ -2,7 +2,7 @@
 //!
 //! Howie-Whelan equations with anomalous absorption in the column approximation (Hirsch et al. 1965; De Graef 2003),
 //! isotropic elastic displacement (Hirth & Lothe 1982). The path: [`lines`] turns the foil into the view and simplifies its
-//! dislocations, [`segment`] gives the strain of straight pieces along a column, [`column`] carries the two beams through
+//! dislocations, [`segment`] gives the strain of straight pieces along a column, [`mod@column`] carries the two beams through
 //! it, [`perfect`] is the analytic solution where there is no line and the cone of convergence of STEM, [`mod@image`] puts
 //! columns together, and [`truth`] measures where the contrast of every line lies. [`displacement`] is the straight line in
 //! closed form, against which the strain is tested; [`beam`] holds every parameter with its unit.
