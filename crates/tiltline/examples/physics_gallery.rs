@@ -46,7 +46,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         };
         let intensity = image(&case.foil, &case.settings, &view)?.intensity;
         let [low, high] = percentiles(&intensity, [0.002, 0.998]);
-        let stretched = intensity.mapv(|value| ((value - low) / (high - low).max(1e-3)).clamp(0.0, 1.0));
+        // At least 2 percent of contrast from black to white: what is invisible stays grey.
+        let (middle, range) = (0.5 * (low + high), (high - low).max(0.01 * (low + high)));
+        let stretched = intensity.mapv(|value| (0.5 + (value - middle) / range).clamp(0.0, 1.0));
         write_png(&folder.join(format!("{:02}-{}.png", index + 1, case.name)), &stretched)?;
         let (top, left) = ((index / across) * cell, (index % across) * cell);
         for ((row, column), value) in stretched.indexed_iter() {

@@ -97,7 +97,7 @@ impl Default for PhysicsSettings {
             detector: Detector::BrightField,
             poisson_ratio: 0.3,
             core_radius_nm: 0.25,
-            reach_nm: 150.0,
+            reach_nm: 120.0,
             wedge: [0.0; 2],
             bend_per_um: [0.0; 3],
             blur_nm: 0.7,

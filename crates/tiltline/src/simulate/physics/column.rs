@@ -146,7 +146,7 @@ impl Columns {
             if line.distance_to_box(at) < nearest {
                 scratch.vertices.clear();
                 let [dx, dy] = line.seen_from(at, &mut scratch.vertices);
-                nearest = nearest.min(dx.hypot(dy));
+                nearest = nearest.min((dx * dx + dy * dy).sqrt());
             }
         }
         nearest
@@ -215,7 +215,7 @@ impl Columns {
             }
             let start = vertices.len();
             let [dx, dy] = line.seen_from(at, vertices);
-            let nearest = dx.hypot(dy);
+            let nearest = (dx * dx + dy * dy).sqrt();
             if nearest >= reach {
                 vertices.truncate(start);
                 continue;
@@ -368,7 +368,7 @@ fn cut([top, bottom]: [f64; 2], cores: &[Core], out: &mut Vec<[f64; 2]>) {
 /// The column, moved sideways out of the core of a line that lies (dx, dy) from it. The linear strain is meaningless in
 /// there, but its phase is not: it tends to the same column from both sides where g . b is an integer.
 fn outside_core([x, y]: [f64; 2], [dx, dy]: [f64; 2], core_radius: f64, line: &Line) -> [f64; 2] {
-    let distance = dx.hypot(dy);
+    let distance = (dx * dx + dy * dy).sqrt();
     if distance >= core_radius {
         return [x, y];
     }

@@ -33,7 +33,8 @@ pub struct Line {
 #[derive(Clone, Debug)]
 struct Chord {
     ends: [usize; 2],
-    deviation_nm: f64,
+    /// Squared lateral distance from which it may stand for its points (0: always).
+    good_from_nm2: f64,
     halves: [usize; 2],
 }
 
@@ -91,7 +92,7 @@ impl Line {
     pub fn distance_to_box(&self, [x, y]: [f64; 2]) -> f64 {
         let dx = (self.low[0] - x).max(x - self.high[0]).max(0.0);
         let dy = (self.low[1] - y).max(y - self.high[1]).max(0.0);
-        dx.hypot(dy)
+        squared([dx, dy]).sqrt()
     }
 
     /// The vertices of the line as seen from the column (x, y), appended to `out`; returns the vector (dx, dy) to the
@@ -107,10 +108,7 @@ impl Line {
 
     /// `z^ x u`, normalised, of the piece of the line nearest to the column; x for one along the beam.
     pub fn across_near(&self, column: [f64; 2]) -> [f64; 2] {
-        let distance = |ends: &[Point3]| {
-            let [dx, dy] = lateral_offset(&ends[0], &ends[1], column);
-            dx.hypot(dy)
-        };
+        let distance = |ends: &[Point3]| squared(lateral_offset(&ends[0], &ends[1], column));
         let nearest = self.points.windows(2).min_by(|a, b| distance(a).total_cmp(&distance(b)));
         let along = nearest.map_or(Vector3::z(), |ends| ends[1] - ends[0]);
         let lateral = along.x.hypot(along.y);
@@ -120,12 +118,11 @@ impl Line {
     fn descend(&self, index: usize, column: [f64; 2], out: &mut Vec<Point3>, nearest: &mut [f64; 2]) {
         let chord = &self.chords[index];
         let [start, end] = chord.ends;
-        let [dx, dy] = lateral_offset(&self.points[start], &self.points[end], column);
-        let distance = dx.hypot(dy);
-        let at_least = (distance - chord.deviation_nm).max(0.0);
-        if chord.halves[0] == 0 || chord.deviation_nm <= (CHORD_SHARE * at_least).max(CHORD_NM) {
-            if distance < nearest[0].hypot(nearest[1]) {
-                *nearest = [dx, dy];
+        let offset = lateral_offset(&self.points[start], &self.points[end], column);
+        let distance2 = squared(offset);
+        if distance2 >= chord.good_from_nm2 {
+            if distance2 < squared(*nearest) {
+                *nearest = offset;
             }
             out.push(self.points[end]);
         } else {
@@ -144,7 +141,7 @@ fn leaves(foil: &Foil, end: &Point3) -> bool {
 /// Builds the tree of chords over `points[start..=end]` (split where the deviation is largest); returns its index.
 fn split(points: &[Point3], start: usize, end: usize, chords: &mut Vec<Chord>) -> usize {
     let index = chords.len();
-    chords.push(Chord { ends: [start, end], deviation_nm: 0.0, halves: [0, 0] });
+    chords.push(Chord { ends: [start, end], good_from_nm2: 0.0, halves: [0, 0] });
     let mut deviation = 0.0;
     let mut middle = start;
     for (i, point) in points.iter().enumerate().take(end).skip(start + 1) {
@@ -160,7 +157,14 @@ fn split(points: &[Point3], start: usize, end: usize, chords: &mut Vec<Chord>) -
         let halves = [split(points, start, middle, chords), split(points, middle, end, chords)];
         // A closed line's root has no length: it must be divided, whatever its points' distance.
         let length = (points[end] - points[start]).norm();
-        chords[index].deviation_nm = if length < 1e-9 { f64::MAX } else { deviation };
+        chords[index].good_from_nm2 = if length < 1e-9 {
+            f64::INFINITY
+        } else if deviation <= CHORD_NM {
+            0.0
+        } else {
+            // The points may be nearer than the chord by the deviation.
+            (deviation * (1.0 + 1.0 / CHORD_SHARE)).powi(2)
+        };
         chords[index].halves = halves;
     }
     index
@@ -170,6 +174,10 @@ fn distance_to_segment(start: &Point3, end: &Point3, point: &Point3) -> f64 {
     let along = end - start;
     let foot = ((point - start).dot(&along) / along.norm_squared().max(1e-30)).clamp(0.0, 1.0);
     (point - start - along * foot).norm()
+}
+
+fn squared([dx, dy]: [f64; 2]) -> f64 {
+    dx * dx + dy * dy
 }
 
 /// From the column to the nearest point of a segment, across the beam.
