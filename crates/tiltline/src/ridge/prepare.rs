@@ -57,17 +57,9 @@ fn data_mask(image: &Array2<f32>) -> Array2<bool> {
         let value = image[[row, column]];
         value <= darkest
             && [(row + 1, column), (row, column + 1)].iter().all(|&(row, column)| {
-<<<<<<< HEAD
-                // Beside a gap there is nothing to differ from.
-                row >= height
-                    || column >= width
-                    || image[[row, column]].is_nan()
-                    || (image[[row, column]] - value).abs() <= 1e-6
-=======
                 // A neighbour outside the image or without data does not make a pixel uneven.
                 let step = image.get([row, column]).map_or(0.0, |other| (other - value).abs());
                 step.is_nan() || step <= 1e-6
->>>>>>> lines
             })
     };
     let mut seen = Array2::from_elem((height, width), false);
