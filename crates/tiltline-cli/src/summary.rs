@@ -85,7 +85,8 @@ impl Summary {
             Some(range.map_or([d, d], |[low, high]| [low.min(d), high.max(d)]))
         });
         let unmatched = |view: View| {
-            result.unmatched.iter().filter(|line| line.view == view).map(|line| length2(&line.points_input)).sum()
+            let lines = result.unmatched.iter().filter(|line| line.view == view);
+            lines.fold(0.0, |sum, line| sum + length2(&line.points_input))
         };
         let measures = &result.measures;
         Self {

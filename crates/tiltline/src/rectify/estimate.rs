@@ -87,9 +87,10 @@ pub fn estimate(
     }
     if rms_row_error_px > LARGE_ROW_ERROR_PX {
         warn(format!(
-            "rows are off by {rms_row_error_px:.2} px rms over {} matches; drift or distortion may be too strong for one \
-             rotation, scale and shift, and depths of lines near the row direction suffer first",
-            rectification.inliers
+            "rows are off by {rms_row_error_px:.2} px rms over {} matches: noise in the single points, which leaves the fit good to \
+             {:.2} px, or drift and distortion that no rotation, scale and shift can mend; look whether rows of the rectified \
+             images agree, since depths of lines near the row direction suffer first",
+            rectification.inliers, rectification.sigma_row_px
         ));
     }
     if rectification.inliers < FEW_INLIERS {

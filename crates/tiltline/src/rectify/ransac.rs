@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Vector3, Vector4};
 
 use super::epipolar::{AxisPrior, Epipolar, Moments, Posterior, fit_similarity, fit_with_prior, wrapped};
 use super::point_matching::{PointMatch, PointMatches};
-use crate::geometry::Similarity2;
+use crate::geometry::{Point2, Similarity2};
 
 /// Largest distance from the common similarity, as a share of the image's diagonal: generous for tilted, thick foils.
 const PARALLAX_SHARE: f64 = 1.0 / 12.0;
@@ -58,7 +58,9 @@ pub fn consensus(matches: &PointMatches, diagonal_px: f64, prior: &AxisPrior, se
     let mut agreeing = near(&matches.distinct);
     let limit = RESIDUAL_PX * (diagonal_px / 1448.0).max(1.0);
     let sampled = sample_epipolar(&agreeing, &similarity, limit, prior, &mut rng);
-    let mut refined = refine(&agreeing, &sampled.ok_or(agreeing.len().min(4))?, limit, prior)?;
+    // Matches that a similarity explains exactly (the same image twice) leave four-point samples nothing to go by.
+    let start = sampled.unwrap_or_else(|| from_similarity(&similarity, prior.axis_rad));
+    let mut refined = refine(&agreeing, &start, limit, prior)?;
     let possible = near(&matches.possible);
     let distinct = agreeing.len();
     for _ in 0..2 {
@@ -142,6 +144,15 @@ fn through_four(matches: [&PointMatch; 4]) -> (Vector4<f64>, f64) {
     };
     let normal = Vector4::new(minor(0), -minor(1), minor(2), -minor(3));
     (normal, -normal.dot(&p))
+}
+
+/// The geometry of a level plane that a similarity (right from left) maps, about the given axis.
+fn from_similarity(similarity: &Similarity2, axis_rad: f64) -> Epipolar {
+    let axis_right_rad = axis_rad + similarity.isometry.rotation.angle();
+    let scale = similarity.scaling();
+    let level = Epipolar { axis_left_rad: axis_rad, axis_right_rad, scale, row_offset: 0.0 };
+    let origin = level.rectified_from_right() * (similarity * Point2::origin());
+    Epipolar { row_offset: -origin.y, ..level }
 }
 
 fn sane(geometry: &Epipolar, similarity: &Similarity2) -> bool {
