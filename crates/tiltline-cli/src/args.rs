@@ -42,7 +42,8 @@ pub struct Reconstruct {
     /// Folder for the results.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: PathBuf,
-    /// Tilts of left and right in degrees: LIST (-4,4), START:END:STEP, or a FILE (.tlt, .rawtlt, .mdoc).
+    /// Tilts of left and right in degrees: LIST (-4,4), START:END:STEP, or a FILE (.tlt, .rawtlt, .mdoc)
+    /// of two tilts.
     #[arg(long, value_name = "LIST|START:END:STEP|FILE", allow_hyphen_values = true)]
     pub tilts: Option<String>,
     /// Side of a pixel of the left image, with its unit: 1.2nm, 3.4A, 0.001um. Overrides the files'.
@@ -64,7 +65,8 @@ pub struct Reconstruct {
     #[arg(long)]
     pub flip_depth: bool,
     /// Seed of everything random.
-    #[arg(long)]
+    // A settings file cannot hold more than 63 bits.
+    #[arg(long, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: Option<u64>,
     /// Settings file; the run.toml of an earlier run repeats it. Flags override it.
     #[arg(long, value_name = "FILE")]

@@ -5,6 +5,7 @@ use miette::{IntoDiagnostic, Result, WrapErr, miette};
 use tiltline::io::FileInfo;
 
 use crate::args::Info;
+use crate::output;
 
 /// Describes each file; a file that cannot be read does not keep the others from being described.
 pub fn run(flags: &Info) -> Result<()> {
@@ -13,7 +14,7 @@ pub fn run(flags: &Info) -> Result<()> {
     for file in &flags.files {
         match tiltline::io::info(file).into_diagnostic().wrap_err_with(|| format!("cannot read {file}")) {
             Ok(info) if flags.json => described.push(info),
-            Ok(info) => print!("{}", table(&info)),
+            Ok(info) => output::print(&table(&info))?,
             Err(error) => {
                 failures += 1;
                 eprintln!("{error:?}");
@@ -21,7 +22,7 @@ pub fn run(flags: &Info) -> Result<()> {
         }
     }
     if flags.json {
-        println!("{}", serde_json::to_string_pretty(&described).into_diagnostic()?);
+        output::print(&(serde_json::to_string_pretty(&described).into_diagnostic()? + "\n"))?;
     }
     if failures > 0 {
         return Err(miette!("{failures} of {} files could not be read", flags.files.len()));

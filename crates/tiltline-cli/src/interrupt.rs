@@ -10,20 +10,41 @@ use miette::{IntoDiagnostic, Result};
 use tiltline::export::{self, Staging};
 use tiltline::reconstruction::Reconstruction;
 
-static TEMPORARY: Mutex<Option<PathBuf>> = Mutex::new(None);
+/// How far writing has come.
+enum Writing {
+    NotBegun,
+    /// Files are being written to this temporary folder.
+    Filling(PathBuf),
+    /// They are in their place.
+    Done,
+}
+
+static WRITING: Mutex<Writing> = Mutex::new(Writing::NotBegun);
 
 /// Exit code of an interrupted run, as shells expect it (128 + SIGINT).
 const INTERRUPTED: i32 = 130;
+/// Writers that are still at work may add a file while the folder is being removed.
+const REMOVALS: usize = 20;
 
 /// Installs the handler.
 pub fn install() -> Result<()> {
     ctrlc::set_handler(|| {
-        // Held until the process ends, so that no move into place starts under our feet.
-        let temporary = TEMPORARY.lock();
-        if let Ok(Some(folder)) = temporary.as_deref() {
-            let _ = std::fs::remove_dir_all(folder);
-        }
-        eprintln!("interrupted; nothing was written");
+        // Held until the process ends. A move into place holds it too: it is finished first, or never begins.
+        let writing = WRITING.lock();
+        let message = match writing.as_deref() {
+            Ok(Writing::Done) => "interrupted; the results had been written",
+            Ok(Writing::Filling(folder)) => {
+                for _ in 0..REMOVALS {
+                    if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
+                        break;
+                    }
+                    std::thread::sleep(std::time::Duration::from_millis(10));
+                }
+                "interrupted; nothing was written"
+            }
+            _ => "interrupted; nothing was written",
+        };
+        eprintln!("{message}");
         std::process::exit(INTERRUPTED);
     })
     .into_diagnostic()
@@ -31,11 +52,12 @@ pub fn install() -> Result<()> {
 
 /// [`export::write_all`], with its temporary folder known to the handler while it is being filled.
 pub fn write_all(result: &Reconstruction, extra: &[(&str, Vec<u8>)], folder: &Path, force: bool) -> Result<()> {
+    let lock = || WRITING.lock().expect("no thread panics while it holds the lock");
     let staging = Staging::begin(folder, force).into_diagnostic()?;
-    let remember = |path: Option<PathBuf>| *TEMPORARY.lock().expect("the lock is never poisoned") = path;
-    remember(Some(staging.path().to_owned()));
-    let written = export::write_staged(result, extra, staging);
-    remember(None);
-    written.into_diagnostic()?;
+    *lock() = Writing::Filling(staging.path().to_owned());
+    let names = export::fill(result, extra, &staging).into_diagnostic()?;
+    let mut writing = lock();
+    staging.commit(names.into_iter()).into_diagnostic()?;
+    *writing = Writing::Done;
     Ok(())
 }

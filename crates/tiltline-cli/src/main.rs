@@ -1,10 +1,11 @@
 //! The command `tiltline`: flags in, results and messages out. All science is in the library.
-#![allow(clippy::print_stdout, clippy::print_stderr)]
+#![allow(clippy::print_stderr)]
 
 mod args;
 mod config;
 mod info;
 mod interrupt;
+mod output;
 mod progress;
 mod quantity;
 mod reconstruct;
@@ -32,8 +33,9 @@ fn run(cli: Cli) -> Result<()> {
         Command::Reconstruct(flags) => reconstruct::run(&flags),
         Command::Info(flags) => info::run(&flags),
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut Cli::command(), "tiltline", &mut std::io::stdout());
-            Ok(())
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "tiltline", &mut script);
+            output::print(&String::from_utf8_lossy(&script))
         }
     }
 }

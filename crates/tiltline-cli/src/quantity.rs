@@ -34,10 +34,10 @@ impl FromStr for PixelSize {
             .ok_or_else(|| format!("'{text}' has no unit; write for example 1.2nm, 3.4A or 0.001um"))?;
         let value: f64 = number.parse().map_err(|_| format!("'{number}' is not a number"))?;
         let nm = value * gain;
-        if nm.is_finite() && nm > 0.0 {
+        if (1e-6..1e6).contains(&nm) {
             Ok(Self { nm })
         } else {
-            Err(format!("a pixel of {nm} nm is not possible; give a positive size"))
+            Err(format!("a pixel of {nm} nm is not possible; give a size between 1e-6 and 1e6 nm"))
         }
     }
 }

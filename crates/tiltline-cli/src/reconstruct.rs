@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::time::Instant;
 
+use clap::CommandFactory;
+use clap::error::ErrorKind;
 use miette::{IntoDiagnostic, Result, miette};
 use tiltline::export;
 use tiltline::geometry::TiltPair;
@@ -16,9 +18,10 @@ use tiltline::refine::Refinement;
 use tiltline::ridge::{LinePolarity, RidgeDetector};
 use tiltline::warning::Warning;
 
-use crate::args::{Lines, Reconstruct, Refine};
+use crate::args::{Cli, Lines, Reconstruct, Refine};
 use crate::config::{Config, RunRecord, run_toml};
 use crate::interrupt;
+use crate::output;
 use crate::progress::Display;
 use crate::summary::{Provenance, Summary};
 
@@ -56,12 +59,10 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     display.clear();
     let summary = Summary::of(&result, provenance);
     if flags.json {
-        println!("{}", serde_json::to_string_pretty(&summary).into_diagnostic()?);
+        output::print(&(serde_json::to_string_pretty(&summary).into_diagnostic()? + "\n"))
     } else {
-        print!("{summary}");
-        println!("written to {}", flags.output.display());
+        output::print(&format!("{summary}written to {}\n", flags.output.display()))
     }
-    Ok(())
 }
 
 /// Defaults, overridden by the settings file, overridden by flags.
@@ -87,7 +88,7 @@ fn resolve(flags: &Reconstruct) -> Result<Config> {
     }
     if let Some(max_disparity_px) = flags.max_disparity {
         if !(max_disparity_px.is_finite() && max_disparity_px > 0.0) {
-            return Err(miette!("--max-disparity {max_disparity_px} is not a positive number of px"));
+            wrong_usage(&format!("--max-disparity {max_disparity_px} is not a positive number of px"));
         }
         settings.matching.max_disparity_px = max_disparity_px;
     }
@@ -95,22 +96,31 @@ fn resolve(flags: &Reconstruct) -> Result<Config> {
     settings.flip_depth |= flags.flip_depth;
     let acquisition = &mut config.acquisition;
     if let Some(text) = &flags.tilts {
-        let tilts = parse_tilts(text).into_diagnostic()?;
-        let count = tilts.len();
-        let pair = <[f64; 2]>::try_from(tilts)
-            .map_err(|_| miette!("--tilts {text} gives {count} tilts; a pair has two, for example --tilts -4,4"))?;
-        acquisition.tilts_deg = Some(pair);
+        let tilts = parse_tilts(text).unwrap_or_else(|error| wrong_usage(&format!("--tilts {text}: {error}")));
+        let [left, right] = tilts[..] else {
+            wrong_usage(&format!(
+                "--tilts {text} gives {} tilts; a pair has two, for example --tilts -4,4",
+                tilts.len()
+            ));
+        };
+        acquisition.tilts_deg = Some([left, right]);
     }
     if let Some(size) = flags.pixel_size {
         acquisition.pixel_size_nm = Some(size.nm);
     }
     if let Some(axis_deg) = flags.tilt_axis.or(acquisition.tilt_axis_deg) {
         if !axis_deg.is_finite() {
-            return Err(miette!("--tilt-axis {axis_deg} is not an angle"));
+            wrong_usage(&format!("--tilt-axis {axis_deg} is not an angle"));
         }
         acquisition.tilt_axis_deg = Some(axis_deg);
     }
+    config.settings.validate().into_diagnostic()?;
     Ok(config)
+}
+
+/// Ends the program as a wrong flag does: a message with the usage, and exit code 2.
+fn wrong_usage(message: &str) -> ! {
+    Cli::command().error(ErrorKind::ValueValidation, message).exit()
 }
 
 /// Both images with their tilts and pixel size, where those came from, and doubts; what the files said goes into the
@@ -127,24 +137,25 @@ fn read_pair(flags: &Reconstruct, config: &mut Config) -> Result<(StereoPair, Pr
         Some(tilts) => (tilts, given.clone()),
         None => {
             let [a, b] = [tilt_of(&left)?, tilt_of(&right)?];
-            ([a.value, b.value], a.origin.clone())
+            let origin = if a.origin == b.origin { a.origin.clone() } else { format!("{}; {}", a.origin, b.origin) };
+            ([a.value, b.value], origin)
         }
     };
     acquisition.tilts_deg = Some(tilts_deg);
     let pixel_size_from = match acquisition.pixel_size_nm {
         Some(_) => Some(given),
-        None => left.pixel_size_nm.as_ref().map(|found| found.origin.clone()),
+        None => left.pixel_size_nm.as_ref().or(right.pixel_size_nm.as_ref()).map(|found| found.origin.clone()),
     };
     let (mut left, mut right) = (left.micrograph, right.micrograph);
     if let Some(size) = acquisition.pixel_size_nm {
         left.pixel_size_nm = Some(size);
         right.pixel_size_nm = Some(size);
     }
-    acquisition.pixel_size_nm = left.pixel_size_nm;
     let tilts = TiltPair::from_degrees(tilts_deg[0], tilts_deg[1]);
     let axis_deg = *acquisition.tilt_axis_deg.get_or_insert(0.0);
     let (pair, doubts) = StereoPair::new(left, right, tilts, axis_deg.to_radians()).into_diagnostic()?;
     warnings.extend(doubts);
+    config.acquisition.pixel_size_nm = pair.pixel_size_nm();
     Ok((pair, Provenance { tilts_deg, tilts_from, pixel_size_from }, warnings))
 }
 

@@ -111,17 +111,17 @@ fn an_output_folder_with_other_content_is_left_alone() {
 fn bad_input_is_named_with_the_way_out_and_writes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
-    let cases: [(&[&str], &str); 7] = [
-        (&[], "--tilts"),
-        (&["--tilts", "4,4"], "tilt"),
-        (&["--tilts", "NaN,4"], "NaN"),
-        (&["--tilts", "-4,0,4"], "3 tilts"),
-        (&["--tilts", "-4,4", "--tilt-axis", "NaN"], "NaN"),
-        (&["--tilts", "-4,4", "--config", "/no/such/file.toml"], "file.toml"),
-        (&["--tilts", "-4,4", "--max-disparity", "0"], "--max-disparity"),
+    let cases: [(&[&str], &str, i32); 7] = [
+        (&[], "--tilts", 1),
+        (&["--tilts", "4,4"], "tilt", 1),
+        (&["--tilts", "NaN,4"], "NaN", 2),
+        (&["--tilts", "-4,0,4"], "3 tilts", 2),
+        (&["--tilts", "-4,4", "--tilt-axis", "NaN"], "NaN", 2),
+        (&["--tilts", "-4,4", "--config", "/no/such/file.toml"], "file.toml", 1),
+        (&["--tilts", "-4,4", "--max-disparity", "0"], "--max-disparity", 2),
     ];
-    for (flags, words) in cases {
-        let message = stderr(&mut reconstruct(&out, flags), 1);
+    for (flags, words, code) in cases {
+        let message = stderr(&mut reconstruct(&out, flags), code);
         assert!(message.contains(words), "{flags:?}: {message}");
         assert!(!out.exists(), "{flags:?}");
     }

@@ -103,7 +103,7 @@ impl Rectification {
             axis_deg: left.axis_rad.to_degrees(),
             axis_sigma_deg: 0.0,
             axis_held_by_prior: false,
-            eigenvalue_ratio: 1.0,
+            eigenvalue_ratio: None,
             relative_rotation_deg: (right.axis_rad - left.axis_rad).to_degrees(),
             relative_scale: right.scale / left.scale,
             right_from_left: right.image_from_projection() * left.image_from_projection().inverse(),
@@ -111,7 +111,7 @@ impl Rectification {
         }
     }
 
-    /// Depth and disparity of a point at height z px above mid-foil, for tests and ranges: `2 sin(phi / 2) z`.
+    /// Disparity of a point z px behind mid-foil (away from the viewer): `2 sin(phi / 2) z`.
     pub fn disparity_of_depth(tilts: &TiltPair, z: f64) -> f64 {
         z / tilts.depth_gain()
     }

@@ -60,21 +60,22 @@ pub fn write_all(
     folder: &Path,
     force: bool,
 ) -> Result<Vec<PathBuf>, ExportError> {
-    write_staged(reconstruction, extra, Staging::begin(folder, force)?)
+    let staging = Staging::begin(folder, force)?;
+    let names = fill(reconstruction, extra, &staging)?;
+    staging.commit(names.into_iter())
 }
 
-/// [`write_all`] into a [`Staging`] that was begun before: a shell that must clean up when it is interrupted keeps
-/// [`Staging::path`].
-pub fn write_staged(
+/// The first half of [`write_all`]: every file into the temporary folder. Returns their names for [`Staging::commit`],
+/// the second half; a shell that must clean up when it is interrupted does the two itself and keeps [`Staging::path`].
+pub fn fill<'a>(
     reconstruction: &Reconstruction,
-    extra: &[(&str, Vec<u8>)],
-    staging: Staging,
-) -> Result<Vec<PathBuf>, ExportError> {
+    extra: &'a [(&str, Vec<u8>)],
+    staging: &Staging,
+) -> Result<Vec<&'a str>, ExportError> {
     WRITERS.par_iter().try_for_each(|(name, writer)| staging.write(name, |out| writer(reconstruction, out)))?;
     for (name, content) in extra {
         staging.write(name, |out| out.write_all(content))?;
     }
     // The extra files come last: a run record says that the rest is complete.
-    let names = WRITERS.iter().map(|(name, _)| *name).chain(extra.iter().map(|(name, _)| *name));
-    staging.commit(names)
+    Ok(WRITERS.iter().map(|(name, _)| *name).chain(extra.iter().map(|(name, _)| *name)).collect())
 }

@@ -204,6 +204,10 @@ fn inspect(folder: &Path, force: bool) -> Result<Target, ExportError> {
             }
         }
         Ok(_) => Err(ExportError::NotAFolder { folder: folder.to_owned() }),
+        // A link that leads nowhere.
+        Err(error) if error.kind() == io::ErrorKind::NotFound && fs::symlink_metadata(folder).is_ok() => {
+            Err(ExportError::NotAFolder { folder: folder.to_owned() })
+        }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             let parent = parent_of(folder, Target::Missing).unwrap_or_default();
             if parent.is_dir() {

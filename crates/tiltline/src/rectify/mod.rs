@@ -88,7 +88,7 @@ pub struct Rectification {
     /// Whether the points say less about the axis than the prior does (all in one plane), so that the prior holds it.
     pub axis_held_by_prior: bool,
     /// Third eigenvalue of the inliers' 4x4 covariance over the fourth: near 1 the points lie in one plane.
-    pub eigenvalue_ratio: f64,
+    pub eigenvalue_ratio: Option<f64>,
     /// Direction of the tilt axis in the right image less that in the left, degrees clockwise on the screen: how far
     /// things are turned in the right image relative to the left one. Points in one plane show it too, given the axis.
     pub relative_rotation_deg: f64,
