@@ -6,8 +6,8 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tiltline::geometry::{Point3, Vector3};
-use tiltline::simulate::physics::{Detector, PhysicsSettings, PhysicsView, image};
-use tiltline::simulate::{Dislocation, Foil};
+use tiltline::simulate::physics::{Detector, PhysicsSettings, image};
+use tiltline::simulate::{Camera, Dislocation, Foil};
 
 fn foil() -> Foil {
     let (size, thickness) = (512.0, 120.0);
@@ -35,7 +35,7 @@ fn views(criterion: &mut Criterion) {
     let weak_beam = PhysicsSettings { deviation_per_nm: 0.2, detector: Detector::DarkField, ..bright_field.clone() };
     let detector = Detector::AnnularBrightField { inner_fraction: 0.5 };
     let annular = PhysicsSettings { convergence_mrad: 12.4, detector, ..bright_field.clone() };
-    let view = PhysicsView { tilt_rad: 0.07, ..PhysicsView::default() };
+    let view = Camera { tilt_rad: 0.07, ..Camera::new([512, 512]) };
     let mut group = criterion.benchmark_group("physics, one 512x512 view");
     group.sample_size(10);
     for (name, settings) in [("bright field", bright_field), ("weak beam", weak_beam), ("STEM ABF", annular)] {

@@ -20,7 +20,7 @@ fn main() {
     for seed in 0..count {
         let start = std::time::Instant::now();
         let scene = Scene::random(&SceneSettings { seed, curves: 12, specks: 0, ..SceneSettings::default() });
-        let specimen = Specimen::new(&scene.curves, 512.0, 120.0, &LookSettings::default(), seed);
+        let specimen = Specimen::new(&scene.curves, &[], 512.0, 120.0, &LookSettings::default(), seed);
         let views = [-4.0_f64, 4.0].map(|tilt_deg| {
             let camera = Camera { tilt_rad: tilt_deg.to_radians(), ..Camera::new([512, 512]) };
             let index = usize::from(tilt_deg > 0.0);

@@ -14,8 +14,8 @@ use std::path::Path;
 use ndarray::Array2;
 use tiltline::filter::percentiles;
 use tiltline::geometry::{Point3, Vector3};
-use tiltline::simulate::physics::{Detector, PhysicsSettings, PhysicsView, image};
-use tiltline::simulate::{Dislocation, Foil};
+use tiltline::simulate::physics::{Detector, PhysicsSettings, image};
+use tiltline::simulate::{Camera, Dislocation, Foil};
 
 const SIDE_PX: usize = 240;
 const PIXEL_NM: f64 = 1.5;
@@ -38,12 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let cell = SIDE_PX + 6;
     let mut sheet = Array2::<f32>::ones([cases.len().div_ceil(across) * cell, across * cell]);
     for (index, case) in cases.iter().enumerate() {
-        let view = PhysicsView {
-            shape: [SIDE_PX, SIDE_PX],
-            pixel_size_nm: PIXEL_NM,
-            tilt_rad: case.tilt_rad,
-            ..PhysicsView::default()
-        };
+        let view = Camera { scale: 1.0 / PIXEL_NM, tilt_rad: case.tilt_rad, ..Camera::new([SIDE_PX, SIDE_PX]) };
         let intensity = image(&case.foil, &case.settings, &view)?.intensity;
         let [low, high] = percentiles(&intensity, [0.002, 0.998]);
         // At least 2 percent of contrast from black to white: what is invisible stays grey.

@@ -4,7 +4,7 @@ use nalgebra::{Rotation2, Translation2};
 
 use crate::geometry::{Point2, Point3, Similarity2, Vector2, project_at_tilt};
 
-/// Parallel projection of a tilted foil on to an image. Lengths of the foil are in px at scale 1.
+/// Parallel projection of a tilted foil on to an image. Lengths of the foil are in any unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Rows and columns of the image.
@@ -13,7 +13,7 @@ pub struct Camera {
     pub tilt_rad: f64,
     /// Direction of the tilt axis, radians clockwise on the screen from image y.
     pub axis_rad: f64,
-    /// Magnification.
+    /// Px per unit of the foil's lengths: the magnification where those are px, the inverse of the pixel size where they are nm.
     pub scale: f64,
     /// Shift of the image on the screen, px.
     pub shift_px: [f64; 2],

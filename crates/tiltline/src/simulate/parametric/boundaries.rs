@@ -9,6 +9,7 @@ use crate::geometry::{Point3, Vector3};
 use crate::simulate::camera::Camera;
 use crate::simulate::draw::stroke;
 use crate::simulate::field::SmoothField;
+use crate::simulate::geometry::polyline::HalfSpace;
 use crate::simulate::parametric::{chance, log_uniform, per_view};
 
 /// A planar boundary through the foil, seen edge-on as a thin dark line or inclined as a band with fringes.
@@ -55,6 +56,19 @@ pub fn family(rng: &mut Pcg64, extent_px: f64, thickness_px: f64) -> Vec<Boundar
         boundaries.push(next);
     }
     boundaries
+}
+
+/// Boundaries on given planes (px), mostly of one look.
+pub fn on_planes(rng: &mut Pcg64, planes: &[HalfSpace], extent_px: f64, thickness_px: f64) -> Vec<Boundary> {
+    let model = Boundary::random(rng, extent_px, thickness_px, 0.0, 0.0);
+    let boundary = |plane: &HalfSpace| {
+        let look = match chance(rng, 0.7) {
+            true => model.clone(),
+            false => Boundary::random(rng, extent_px, thickness_px, 0.0, 0.0),
+        };
+        Boundary { normal: plane.normal, offset_px: plane.offset, ..look }
+    };
+    planes.iter().map(boundary).collect()
 }
 
 impl Boundary {

@@ -18,6 +18,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::Point3;
 use crate::simulate::camera::Camera;
+use crate::simulate::geometry::polyline::HalfSpace;
+use crate::simulate::settings::{SimulateError, check_range, check_value};
 use background::Background;
 use boundaries::{Boundary, SlipTrace};
 use debris::Debris;
@@ -60,6 +62,23 @@ impl Default for LookSettings {
     }
 }
 
+impl LookSettings {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`SimulateError::Value`] with the name of the first that is not possible.
+    pub fn validate(&self) -> Result<(), SimulateError> {
+        check_range("look.line_width_px", self.line_width_px, [0.5, 100.0])?;
+        check_range("look.line_contrast", self.line_contrast, [1e-3, 1.0])?;
+        check_value("look.one_sided", self.one_sided, [0.0, 1.0])?;
+        check_value("look.bright", self.bright, [0.0, 1.0])?;
+        check_value("look.boundary_families", self.boundary_families, [0.0, 20.0])?;
+        check_value("look.slip_traces", self.slip_traces, [0.0, 100.0])?;
+        check_value("look.debris", self.debris, [0.0, 10_000.0])?;
+        check_value("look.background", self.background, [0.0, 4.0])
+    }
+}
+
 /// A foil with a look: everything both views share.
 #[derive(Clone, Debug)]
 pub struct Specimen {
@@ -81,13 +100,22 @@ pub struct View {
 
 impl Specimen {
     /// Gives curves (px at scale 1, origin at the foil's centre) in a foil of this size and thickness a look.
-    pub fn new(curves: &[Vec<Point3>], extent_px: f64, thickness_px: f64, look: &LookSettings, seed: u64) -> Self {
+    ///
+    /// `walls` are boundaries that are in the foil and end lines; random ones come on top.
+    pub fn new(
+        curves: &[Vec<Point3>],
+        walls: &[HalfSpace],
+        extent_px: f64,
+        thickness_px: f64,
+        look: &LookSettings,
+        seed: u64,
+    ) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
         let rng = &mut rng;
         let area = (extent_px / 512.0).powi(2);
         let families = count(rng, look.boundary_families);
-        let boundaries =
-            (0..families).flat_map(|_| boundaries::family(rng, extent_px, thickness_px)).collect::<Vec<_>>();
+        let mut boundaries = boundaries::on_planes(rng, walls, extent_px, thickness_px);
+        boundaries.extend((0..families).flat_map(|_| boundaries::family(rng, extent_px, thickness_px)));
         let traces =
             (0..count(rng, look.slip_traces)).map(|_| SlipTrace::random(rng, extent_px, thickness_px)).collect();
         let debris =

@@ -1,4 +1,4 @@
-//! Beam, crystal and imaging parameters of physics mode, with units in their names, and how one view is taken.
+//! Beam, crystal and imaging parameters of physics mode, with units in their names.
 //!
 //! Sources: P. Hirsch, A. Howie, R. Nicholson, D. Pashley, M. Whelan, *Electron Microscopy of Thin Crystals*
 //! (Butterworths 1965), chapters 7-10 and 12; M. De Graef, *Introduction to Conventional TEM* (Cambridge 2003), chapters
@@ -8,11 +8,10 @@
 //! reflection and the beam energy at hand; the defaults are only of the usual size for a low-index reflection of a metal
 //! of medium weight.
 
-use nalgebra::{Rotation2, Translation2};
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::{Point3, Similarity2, Vector2, Vector3, project_at_tilt};
-use crate::simulate::Foil;
+use crate::geometry::Vector3;
+use crate::simulate::{Camera, Foil};
 
 use super::PhysicsError;
 
@@ -179,58 +178,22 @@ impl PhysicsSettings {
     }
 }
 
-/// How one view is taken; the image lies as in [`crate::simulate::view::ViewSettings`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PhysicsView {
-    /// Rows and columns of the image.
-    pub shape: [usize; 2],
-    /// Tilt in radians.
-    pub tilt_rad: f64,
-    /// Direction of the tilt axis, radians clockwise on the screen from image y.
-    pub axis_rad: f64,
-    /// Shift of the image on the screen, px.
-    pub shift_px: [f64; 2],
-    /// Pixel size, nm.
-    pub pixel_size_nm: f64,
-}
-
-impl Default for PhysicsView {
-    fn default() -> Self {
-        Self { shape: [512, 512], tilt_rad: 0.0, axis_rad: 0.0, shift_px: [0.0; 2], pixel_size_nm: 1.0 }
+/// Checks every value of a camera over a foil in nm (its scale is px per nm).
+///
+/// # Errors
+/// [`PhysicsError::OutOfRange`] with the value and the range.
+pub fn validate_view(view: &Camera) -> Result<(), PhysicsError> {
+    for extent in view.shape {
+        check("shape", extent as f64, 1.0, 16384.0)?;
     }
-}
-
-impl PhysicsView {
-    /// Projected plane (nm, origin at the foil's centre, tilt axis along y) to image px.
-    pub fn image_from_projection(&self) -> Similarity2 {
-        let centre = Vector2::new(0.5 * (self.shape[1] as f64 - 1.0), 0.5 * (self.shape[0] as f64 - 1.0));
-        let shift = Translation2::from(centre + Vector2::from(self.shift_px));
-        Similarity2::from_parts(shift, Rotation2::new(self.axis_rad).into(), 1.0 / self.pixel_size_nm)
+    // Beyond 80 degrees the columns are more than six times the thickness and two-beam contrast says nothing.
+    check("tilt_rad", view.tilt_rad, -1.4, 1.4)?;
+    check("axis_rad", view.axis_rad, -10.0, 10.0)?;
+    check("pixel_size_nm", 1.0 / view.scale, 0.01, 1e3)?;
+    for shift in view.shift_px {
+        check("shift_px", shift, -1e5, 1e5)?;
     }
-
-    /// Where a point of the foil (nm) lands in the image (px).
-    pub fn project(&self, point: &Point3) -> crate::geometry::Point2 {
-        self.image_from_projection() * project_at_tilt(point, self.tilt_rad)
-    }
-
-    /// Checks every value.
-    ///
-    /// # Errors
-    /// [`PhysicsError::OutOfRange`] with the value and the range.
-    pub fn validate(&self) -> Result<(), PhysicsError> {
-        for extent in self.shape {
-            check("shape", extent as f64, 1.0, 16384.0)?;
-        }
-        // Beyond 80 degrees the columns are more than six times the thickness and two-beam contrast says nothing.
-        check("tilt_rad", self.tilt_rad, -1.4, 1.4)?;
-        check("axis_rad", self.axis_rad, -10.0, 10.0)?;
-        check("pixel_size_nm", self.pixel_size_nm, 0.01, 1e3)?;
-        for shift in self.shift_px {
-            check("shift_px", shift, -1e5, 1e5)?;
-        }
-        Ok(())
-    }
+    Ok(())
 }
 
 /// Checks that a foil can be imaged: a thickness, finite points, a Burgers vector for every line.
@@ -284,7 +247,7 @@ mod tests {
         let message = growing.validate().unwrap_err().to_string();
         assert!(message.contains("0.2") && message.contains("0.1"), "{message}");
         assert!(PhysicsSettings::default().validate().is_ok());
-        assert!(PhysicsView { pixel_size_nm: 0.0, ..PhysicsView::default() }.validate().is_err());
+        assert!(validate_view(&Camera { scale: 0.0, ..Camera::new([8, 8]) }).is_err());
         assert!(validate_foil(&Foil::default()).is_err());
     }
 

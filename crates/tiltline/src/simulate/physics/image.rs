@@ -10,11 +10,11 @@ use rayon::prelude::*;
 
 use crate::filter::gaussian_blur;
 use crate::geometry::Point2;
-use crate::simulate::Foil;
+use crate::simulate::{Camera, Foil};
 
 use super::column::{Columns, Scratch};
 use super::truth::{self, ViewTruth};
-use super::{PhysicsError, PhysicsSettings, PhysicsView};
+use super::{PhysicsError, PhysicsSettings, beam};
 
 /// Step of the coarsest grid, px.
 const COARSE_PX: usize = 8;
@@ -32,7 +32,7 @@ pub struct PhysicsImage {
     pub truth: ViewTruth,
 }
 
-/// The image of `foil` in a view.
+/// The image of `foil` as seen by a camera, whose scale is px per nm.
 ///
 /// # Errors
 /// [`PhysicsError`] for parameters that are not numbers or absurd, and for lines without Burgers vector.
@@ -40,8 +40,8 @@ pub struct PhysicsImage {
 /// # Example
 /// ```
 /// use tiltline::geometry::{Point3, Vector3};
-/// use tiltline::simulate::physics::{PhysicsSettings, PhysicsView, image};
-/// use tiltline::simulate::{Dislocation, Foil};
+/// use tiltline::simulate::physics::{PhysicsSettings, image};
+/// use tiltline::simulate::{Camera, Dislocation, Foil};
 ///
 /// let line = Dislocation {
 ///     points: vec![Point3::new(0.0, -30.0, -50.0), Point3::new(0.0, 30.0, 50.0)],
@@ -50,13 +50,13 @@ pub struct PhysicsImage {
 ///     plane_normal: None,
 /// };
 /// let foil = Foil { thickness_nm: 100.0, size_nm: [200.0, 200.0], dislocations: vec![line] };
-/// let view = PhysicsView { shape: [64, 64], pixel_size_nm: 2.0, ..PhysicsView::default() };
+/// let view = Camera { scale: 0.5, ..Camera::new([64, 64]) };
 /// let picture = image(&foil, &PhysicsSettings::default(), &view)?;
 /// assert_eq!(picture.intensity.dim(), (64, 64));
 /// # Ok::<(), tiltline::simulate::physics::PhysicsError>(())
 /// ```
-pub fn image(foil: &Foil, settings: &PhysicsSettings, view: &PhysicsView) -> Result<PhysicsImage, PhysicsError> {
-    view.validate()?;
+pub fn image(foil: &Foil, settings: &PhysicsSettings, view: &Camera) -> Result<PhysicsImage, PhysicsError> {
+    beam::validate_view(view)?;
     let columns = Columns::new(foil, settings, view.tilt_rad)?;
     let projection_from_image = view.image_from_projection().inverse();
     let place = |[row, column]: [f64; 2]| {
@@ -69,12 +69,12 @@ pub fn image(foil: &Foil, settings: &PhysicsSettings, view: &PhysicsView) -> Res
         Array2::zeros(view.shape)
     } else {
         let near = |at: [f64; 2], step_px: f64, scratch: &mut Scratch| {
-            let limit = NEAR_STEPS * step_px * view.pixel_size_nm;
+            let limit = NEAR_STEPS * step_px / view.scale;
             columns.distance_to_lines(place(at), limit, scratch) < limit
         };
         refine(view.shape, settings.interpolation_tolerance, near, |at, scratch| columns.change(place(at), scratch))
     };
-    let blur_px = settings.blur_nm / view.pixel_size_nm;
+    let blur_px = settings.blur_nm * view.scale;
     let background = gaussian_blur(&background, blur_px);
     let change = gaussian_blur(&change, blur_px);
     let truth = truth::measure(foil, settings, view, &background, &change);

@@ -21,7 +21,7 @@ pub mod truth;
 #[cfg(test)]
 mod tests;
 
-pub use beam::{Detector, PhysicsSettings, PhysicsView};
+pub use beam::{Detector, PhysicsSettings};
 pub use image::{PhysicsImage, image};
 pub use truth::{Contrast, CorePoint, LineTruth, ViewTruth};
 

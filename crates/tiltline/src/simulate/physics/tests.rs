@@ -10,7 +10,7 @@ use super::displacement::StraightLine;
 use super::perfect::effective_extinction_distance_nm;
 use super::*;
 use crate::geometry::{Point3, Vector3};
-use crate::simulate::{Dislocation, Foil};
+use crate::simulate::{Camera, Dislocation, Foil};
 
 const B_NM: f64 = 0.25;
 
@@ -421,7 +421,7 @@ fn a_narrow_dipole_has_less_far_contrast_than_one_of_its_lines() {
 fn a_wedge_shows_thickness_fringes() {
     let settings =
         PhysicsSettings { deviation_per_nm: 0.01, wedge: [0.5, 0.0], blur_nm: 0.0, ..PhysicsSettings::default() };
-    let view = PhysicsView { shape: [24, 300], ..PhysicsView::default() };
+    let view = Camera::new([24, 300]);
     let image = image(&foil(200.0, Vec::new()), &settings, &view).unwrap().intensity;
     let row: Vec<f64> = image.row(12).iter().map(|value| f64::from(*value)).collect();
     let period_px = effective_extinction_distance_nm(&settings) / 0.5;
@@ -452,7 +452,7 @@ fn the_image_is_what_every_pixel_computed_by_itself_gives() {
         ..PhysicsSettings::default()
     };
     let tilt_rad = 0.2;
-    let view = PhysicsView { shape: [90, 100], tilt_rad, axis_rad: 0.3, shift_px: [4.0, -7.5], pixel_size_nm: 1.3 };
+    let view = Camera { shape: [90, 100], tilt_rad, axis_rad: 0.3, shift_px: [4.0, -7.5], scale: 1.0 / 1.3 };
     let image = image(&foil, &settings, &view).unwrap();
     let columns = Columns::new(&foil, &settings, tilt_rad).unwrap();
     let projection_from_image = view.image_from_projection().inverse();
@@ -467,7 +467,7 @@ fn the_image_is_what_every_pixel_computed_by_itself_gives() {
 #[test]
 fn the_image_does_not_depend_on_the_number_of_threads() {
     let settings = PhysicsSettings { g_per_nm: g_along(Vector3::x(), 1.0), ..PhysicsSettings::default() };
-    let view = PhysicsView { shape: [80, 80], ..PhysicsView::default() };
+    let view = Camera::new([80, 80]);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| image(&some_lines(), &settings, &view).unwrap())
@@ -493,7 +493,7 @@ fn a_specimen_turned_about_the_beam_gives_the_turned_image() {
         ..PhysicsSettings::default()
     };
     let settings_turned = PhysicsSettings { g_per_nm: turn(&settings.g_per_nm), ..settings.clone() };
-    let view = PhysicsView { shape: [61, 61], ..PhysicsView::default() };
+    let view = Camera::new([61, 61]);
     let original = image(&foil, &settings, &view).unwrap().intensity;
     let found = image(&turned, &settings_turned, &view).unwrap().intensity;
     for ((row, column), value) in original.indexed_iter() {
@@ -511,7 +511,7 @@ fn the_truth_finds_the_weak_beam_line_beside_its_core() {
     let z = 70.0 - 50.5;
     foil.dislocations[0].points = (-40..=40).map(|i| Point3::new(0.0, -5.0 * f64::from(i), z)).collect();
     let tilt_rad = 0.07;
-    let view = PhysicsView { shape: [64, 128], pixel_size_nm: 0.5, tilt_rad, ..PhysicsView::default() };
+    let view = Camera { scale: 2.0, tilt_rad, ..Camera::new([64, 128]) };
     let settings = PhysicsSettings { blur_nm: 0.2, ..weak_beam(2.0, 0.15) };
     let truth = image(&foil, &settings, &view).unwrap().truth;
     let middle = &truth.lines[0].points[40];
@@ -533,7 +533,7 @@ fn the_truth_finds_the_weak_beam_line_beside_its_core() {
 fn what_cannot_be_imaged_is_refused_with_its_number() {
     let mut nameless = some_lines();
     nameless.dislocations[1].burgers_nm = None;
-    let view = PhysicsView { shape: [16, 16], ..PhysicsView::default() };
+    let view = Camera::new([16, 16]);
     let refused = |foil: &Foil, settings: &PhysicsSettings| image(foil, settings, &view).unwrap_err().to_string();
     assert!(refused(&nameless, &PhysicsSettings::default()).contains("dislocation 1"));
     let mut nowhere = some_lines();

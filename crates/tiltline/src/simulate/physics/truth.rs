@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::filter::sample_linear;
 use crate::geometry::{Point2, Vector2};
-use crate::simulate::Foil;
+use crate::simulate::{Camera, Foil};
 
-use super::{PhysicsSettings, PhysicsView, perfect};
+use super::{PhysicsSettings, perfect};
 
 /// Spacing of the samples of a profile, px.
 const SAMPLE_PX: f64 = 0.5;
@@ -73,11 +73,11 @@ pub fn profile_half_width_nm(settings: &PhysicsSettings) -> f64 {
 pub fn measure(
     foil: &Foil,
     settings: &PhysicsSettings,
-    view: &PhysicsView,
+    view: &Camera,
     background: &Array2<f32>,
     change: &Array2<f32>,
 ) -> ViewTruth {
-    let half_width_px = (profile_half_width_nm(settings) / view.pixel_size_nm).max(3.0);
+    let half_width_px = (profile_half_width_nm(settings) * view.scale).max(3.0);
     let lines = foil.dislocations.iter().map(|dislocation| {
         let projected: Vec<Point2> = dislocation.points.iter().map(|point| view.project(point)).collect();
         let across = normals(&projected, dislocation.closed);

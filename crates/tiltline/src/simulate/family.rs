@@ -1,0 +1,81 @@
+//! The families: what sets the defaults of one apart from those of another, after the samples of the paper's Table 3.
+//!
+//! Wider than reality on purpose: detectors that were trained on widely randomised drawings carried over to real images
+//! (Govind et al. 2023), those trained on one look did not.
+
+use super::acquisition::AcquisitionSettings;
+use super::alignment::AlignmentSettings;
+use super::conditions::ConditionSettings;
+use super::geometry::FoilSettings;
+use super::parametric::LookSettings;
+use super::settings::{Family, Mode, SimulateSettings};
+
+impl SimulateSettings {
+    /// The defaults of a family: pairs of 512 px at -4 and 4 degrees.
+    pub fn of_family(family: Family) -> Self {
+        let (foil, look, conditions, acquisition) = match family {
+            Family::Gan => (FoilSettings::gan(), gan_look(), gan_conditions(), gan_acquisition()),
+            Family::Tial => (FoilSettings::tial(), tial_look(), tial_conditions(), tial_acquisition()),
+            Family::Cantor => (FoilSettings::cantor(), cantor_look(), cantor_conditions(), cantor_acquisition()),
+            Family::Mixed => (
+                FoilSettings::mixed(),
+                LookSettings::default(),
+                ConditionSettings::default(),
+                AcquisitionSettings::default(),
+            ),
+        };
+        Self {
+            family,
+            mode: Mode::default(),
+            size_px: 512,
+            tilts_deg: vec![-4.0, 4.0],
+            visible_above_noise: 3.0,
+            least_contrast: 0.02,
+            foil,
+            look,
+            conditions,
+            acquisition,
+            alignment: AlignmentSettings::default(),
+        }
+    }
+}
+
+/// Clear lines on an even background.
+fn gan_look() -> LookSettings {
+    LookSettings { line_contrast: [0.15, 0.7], boundary_families: 0.2, background: 0.6, ..LookSettings::default() }
+}
+
+fn gan_conditions() -> ConditionSettings {
+    ConditionSettings { stem: 0.8, ..ConditionSettings::default() }
+}
+
+/// Little noise.
+fn gan_acquisition() -> AcquisitionSettings {
+    AcquisitionSettings { dose: [2000.0, 100_000.0], read_noise: [0.001, 0.01], ..AcquisitionSettings::default() }
+}
+
+/// Boundaries of all kinds.
+fn tial_look() -> LookSettings {
+    LookSettings { boundary_families: 1.3, ..LookSettings::default() }
+}
+
+fn tial_conditions() -> ConditionSettings {
+    ConditionSettings { stem: 0.3, ..ConditionSettings::default() }
+}
+
+fn tial_acquisition() -> AcquisitionSettings {
+    AcquisitionSettings { dose: [300.0, 10_000.0], ..AcquisitionSettings::default() }
+}
+
+/// Weak lines in noise.
+fn cantor_look() -> LookSettings {
+    LookSettings { line_contrast: [0.05, 0.45], ..LookSettings::default() }
+}
+
+fn cantor_conditions() -> ConditionSettings {
+    ConditionSettings { stem: 0.7, ..ConditionSettings::default() }
+}
+
+fn cantor_acquisition() -> AcquisitionSettings {
+    AcquisitionSettings { dose: [80.0, 2000.0], ..AcquisitionSettings::default() }
+}
