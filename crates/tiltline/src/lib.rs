@@ -11,6 +11,7 @@
 //! [`warning::Warning`]s.
 
 pub mod curve;
+pub mod dataset;
 pub mod export;
 pub mod filter;
 pub mod geometry;

@@ -4,6 +4,7 @@
 pub mod csv;
 pub mod graph;
 pub mod json;
+pub mod mrc;
 pub mod number;
 pub mod obj;
 pub mod overlay;

@@ -7,7 +7,7 @@ use std::io::{self, Seek, Write};
 
 use ndarray::Array2;
 use tiff::encoder::compression::DeflateLevel;
-use tiff::encoder::{Compression, Rational, TiffEncoder, colortype};
+use tiff::encoder::{Compression, Rational, TiffEncoder, TiffValue, colortype};
 use tiff::tags::{ResolutionUnit, Tag};
 
 use crate::curve::CurvePoint;
@@ -83,22 +83,53 @@ fn write(
     sparse: bool,
     out: &mut (impl Write + Seek + ?Sized),
 ) -> io::Result<()> {
+    let frame = &reconstruction.frame;
+    let pixel_size_nm = (frame.unit == LengthUnit::Nm).then_some(frame.pixel);
     let image = image.as_standard_layout();
     let pixels = image.as_slice().expect("standard layout is contiguous");
+    encode::<colortype::Gray32Float>(
+        pixels,
+        image.dim().into(),
+        &Description { content, pixel_size_nm, tilt_deg: None },
+        sparse,
+        out,
+    )
+}
+
+/// What a TIFF says beside its pixels.
+pub(crate) struct Description<'a> {
+    /// What the pixels are.
+    pub content: &'a str,
+    /// Side of a pixel, if known.
+    pub pixel_size_nm: Option<f64>,
+    /// Tilt of the specimen, if known.
+    pub tilt_deg: Option<f64>,
+}
+
+/// Encodes rows of pixels with an ImageJ description.
+pub(crate) fn encode<C: colortype::ColorType>(
+    pixels: &[C::Inner],
+    [height, width]: [usize; 2],
+    description: &Description,
+    sparse: bool,
+    out: &mut (impl Write + Seek + ?Sized),
+) -> io::Result<()>
+where
+    [C::Inner]: TiffValue,
+{
     let compression = if sparse { Compression::Deflate(DeflateLevel::Fast) } else { Compression::Uncompressed };
-    let (width, height) = (side(image.ncols())?, side(image.nrows())?);
+    let (width, height) = (side(width)?, side(height)?);
     let mut encoder = TiffEncoder::new(out).map_err(io_error)?.with_compression(compression);
-    let mut tiff = encoder.new_image::<colortype::Gray32Float>(width, height).map_err(io_error)?;
-    let frame = &reconstruction.frame;
-    let unit = match frame.unit {
-        LengthUnit::Nm => "nm",
-        LengthUnit::Px => "pixel",
-    };
-    let description = format!("ImageJ=1.54\nunit={unit}\ncontent={content}\n");
-    tiff.encoder().write_tag(Tag::ImageDescription, description.as_str()).map_err(io_error)?;
-    if frame.unit == LengthUnit::Nm {
+    let mut tiff = encoder.new_image::<C>(width, height).map_err(io_error)?;
+    let unit = if description.pixel_size_nm.is_some() { "nm" } else { "pixel" };
+    let mut text = format!("ImageJ=1.54\nunit={unit}\ncontent={}\n", description.content);
+    if let Some(tilt_deg) = description.tilt_deg {
+        text += &format!("tilt_deg={tilt_deg}\n");
+    }
+    tiff.encoder().write_tag(Tag::ImageDescription, text.as_str()).map_err(io_error)?;
+    if let Some(size) = description.pixel_size_nm {
         // ImageJ counts pixels per unit; the tag's own unit is then none.
-        tiff.resolution(ResolutionUnit::None, rational(1.0 / frame.pixel));
+        tiff.resolution(ResolutionUnit::None, rational(1.0 / size));
     }
     tiff.write_data(pixels).map_err(io_error)
 }

@@ -93,6 +93,7 @@ impl<R: Read + Seek> TiffFile<R> {
             header.pages = images;
             pages = Layout::Contiguous(offset);
         }
+        metadata.take_tilt(&mut header);
         Ok(Self { path, length, decoder: Some(decoder), header, pages })
     }
 

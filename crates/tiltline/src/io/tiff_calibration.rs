@@ -1,4 +1,4 @@
-//! Pixel size in TIFF metadata, in nm.
+//! Pixel size in TIFF metadata, in nm, and the tilt.
 //!
 //! - FEI and Thermo Fisher: private tags 34680 (SFEG), 34682 (Helios), 34683 (Titan), an ini text with `PixelWidth` in
 //!   m, or XML with `<PixelSize><X unit="m" unitPrefixPower="0">`.
@@ -13,7 +13,7 @@ use tiff::decoder::Decoder;
 use tiff::decoder::ifd::Value;
 use tiff::tags::{Tag, Type, ValueBuffer};
 
-use super::Header;
+use super::{Found, Header};
 
 /// A pixel this large or larger, in nm, may be a print's or a scanner's; the finest scanners reach 2 um.
 const PRINT_PIXEL_NM: f64 = 1000.0;
@@ -66,6 +66,15 @@ impl Metadata {
             if let (None, Some([x_nm, y_nm])) = (&header.pixel_size_nm, size) {
                 header.take_pixel_size(x_nm, y_nm, origin);
             }
+        }
+    }
+
+    /// Gives the header the tilt that the ImageJ description of a single image states (`tilt_deg=`, as the simulator writes
+    /// it).
+    pub(super) fn take_tilt(&self, header: &mut Header) {
+        let tilt = self.image_j("tilt_deg").and_then(|text| text.parse::<f64>().ok());
+        if let (1, Some(tilt)) = (header.pages, tilt.filter(|tilt| tilt.abs() <= 360.0)) {
+            header.tilts_deg = Some(Found::new(vec![tilt], "ImageJ description"));
         }
     }
 

@@ -21,6 +21,7 @@ pub mod settings;
 pub mod site;
 pub mod tangle;
 pub mod threading;
+mod turn;
 pub mod validate;
 
 use rand::RngExt;
@@ -67,6 +68,18 @@ pub fn sample_foil(settings: &FoilSettings, rng: &mut Pcg64) -> FoilSample {
     if let Err(error) = settings.validate() {
         panic!("foil settings are validated before a foil is drawn: {error}");
     }
+    let Some(direction_deg) = settings.main_direction_deg else { return grown(settings, rng) };
+    // The corners of the field must still be filled when the foil is turned by an eighth of a circle.
+    let wider = FoilSettings { margin: settings.margin.max(TURNED_MARGIN), ..settings.clone() };
+    let mut sample = grown(&wider, rng);
+    turn::turn_to(&mut sample, direction_deg.sample(rng).to_radians());
+    sample
+}
+
+/// Margin of foils that are turned: the corners of the field are 0.71 of its side from its centre.
+const TURNED_MARGIN: f64 = 0.3;
+
+fn grown(settings: &FoilSettings, rng: &mut Pcg64) -> FoilSample {
     let mut growth = Growth::start(settings, rng);
     growth.fill(rng);
     FoilSample {

@@ -91,6 +91,9 @@ pub struct FoilSettings {
     pub lattices: Vec<Lattice>,
     /// Angle of the c axis to the beam; any orientation if absent.
     pub axis_tilt_deg: Option<Range>,
+    /// Turns the whole foil about the beam so that the main direction of its lines, in projection, makes this angle with the rows;
+    /// any direction if absent.
+    pub main_direction_deg: Option<Range>,
     /// Number of slip planes that are active in one crystal.
     pub active_planes: Range,
     /// Kinds of lines and their weights.
@@ -369,6 +372,7 @@ impl Default for FoilSettings {
             margin: 0.15,
             lattices: vec![Lattice::ALUMINIUM, Lattice::CANTOR, Lattice::IRON, Lattice::GAN, Lattice::TIAL],
             axis_tilt_deg: None,
+            main_direction_deg: None,
             active_planes: Range::new(1.0, 4.0),
             features: Feature::ALL.map(|feature| Weight { feature, weight: 1.0 }).to_vec(),
             variety: 2.0,

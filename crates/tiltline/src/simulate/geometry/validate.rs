@@ -36,7 +36,7 @@ impl FoilSettings {
     /// A range that is not finite, not ordered or beyond its limits; no lattice or no feature with a positive weight.
     pub fn validate(&self) -> Result<(), FoilSettingsError> {
         let share = |value: f64| Range::exactly(value);
-        let ranges: [(&'static str, Range, f64, f64); 43] = [
+        let ranges: [(&'static str, Range, f64, f64); 44] = [
             ("field_nm", self.field_nm, 50.0, 50_000.0),
             ("thickness_nm", self.thickness_nm, 5.0, 5_000.0),
             ("density_per_m2", self.density_per_m2, 1e9, 1e16),
@@ -48,6 +48,7 @@ impl FoilSettings {
             ("clustering", share(self.clustering), 0.0, 1.0),
             ("lamellar", share(self.lamellar), 0.0, 1.0),
             ("axis_tilt_deg", self.axis_tilt_deg.unwrap_or(share(0.0)), 0.0, 180.0),
+            ("main_direction_deg", self.main_direction_deg.unwrap_or(share(0.0)), -180.0, 180.0),
             ("lamellae.width_nm", self.lamellae.width_nm, 10.0, 50_000.0),
             ("lamellae.inclination_deg", self.lamellae.inclination_deg, 5.0, 90.0),
             ("lamellae.confined", share(self.lamellae.confined), 0.0, 1.0),
