@@ -23,6 +23,14 @@ const EXIT_CODES: &str = "Exit codes: 0 done (perhaps with warnings), 1 failed, 
 pub enum Command {
     /// Reconstruct the 3D curves of a stereo pair.
     Reconstruct(Box<Reconstruct>),
+    /// Simulate micrographs of foils with exact truth: a data set.
+    Simulate(Box<crate::simulate::Simulate>),
+    /// Score a result against the truth, or a whole benchmark.
+    Score(crate::score::Score),
+    /// Reconstruct a fixed set of simulated pairs, to be scored.
+    Bench(Box<crate::bench::Bench>),
+    /// Check a data set, or add images labelled by hand to one.
+    Dataset(crate::dataset::DatasetArgs),
     /// Say what is in a micrograph or series: size, type, pixel size, tilts, range, warnings.
     Info(Info),
     /// Print a completion script for a shell.
@@ -52,25 +60,12 @@ pub struct Reconstruct {
     /// Direction of the tilt axis, degrees clockwise on the screen from image y (0 vertical, 90 horizontal).
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
     pub tilt_axis: Option<f64>,
-    /// Whether lines are darker or brighter than what surrounds them.
-    #[arg(long, value_name = "CONTRAST")]
-    pub lines: Option<Lines>,
-    /// Largest disparity to look for, in px of the left image; without it, from the spread of the point matches.
-    #[arg(long, value_name = "PX")]
-    pub max_disparity: Option<f64>,
-    /// How disparities are refined.
-    #[arg(long, value_name = "METHOD")]
-    pub refine: Option<Refine>,
+    /// How lines are found and matched.
+    #[command(flatten)]
+    pub method: Method,
     /// Report the other sign of depth: no number of projections can tell which is right.
     #[arg(long)]
     pub flip_depth: bool,
-    /// Seed of everything random.
-    // A settings file cannot hold more than 63 bits.
-    #[arg(long, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
-    pub seed: Option<u64>,
-    /// Settings file; the run.toml of an earlier run repeats it. Flags override it.
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
     /// Write into a folder that has other content.
     #[arg(long)]
     pub force: bool,
@@ -80,6 +75,27 @@ pub struct Reconstruct {
     /// How much to say while working.
     #[command(flatten)]
     pub verbosity: Verbosity,
+}
+
+/// How lines are found and matched: the same for one pair and for a benchmark.
+#[derive(Clone, Debug, Args)]
+pub struct Method {
+    /// Whether lines are darker or brighter than what surrounds them.
+    #[arg(long, value_name = "CONTRAST")]
+    pub lines: Option<Lines>,
+    /// Largest disparity to look for, in px of the left image; without it, from the spread of the point matches.
+    #[arg(long, value_name = "PX")]
+    pub max_disparity: Option<f64>,
+    /// How disparities are refined.
+    #[arg(long, value_name = "METHOD")]
+    pub refine: Option<Refine>,
+    /// Seed of everything random.
+    // A settings file cannot hold more than 63 bits.
+    #[arg(long, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// Settings file; the run.toml of an earlier run repeats it. Flags override it.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
 }
 
 /// Flags of `tiltline info`.

@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use miette::{IntoDiagnostic, Result};
 use tiltline::export::{self, Staging};
@@ -20,6 +21,14 @@ enum Writing {
 }
 
 static WRITING: Mutex<Writing> = Mutex::new(Writing::NotBegun);
+
+/// Whether the command keeps what it has done and goes on from there when it is run again.
+static RESUMABLE: AtomicBool = AtomicBool::new(false);
+
+/// Says that what is complete stays, and that the same command goes on from there.
+pub fn resumable() {
+    RESUMABLE.store(true, Ordering::Relaxed);
+}
 
 /// Exit code of an interrupted run, as shells expect it (128 + SIGINT).
 const INTERRUPTED: i32 = 130;
@@ -44,7 +53,8 @@ pub fn install() -> Result<()> {
             }
             _ => "interrupted; nothing was written",
         };
-        eprintln!("{message}");
+        let resumed = "interrupted; what was complete is kept, and the same command goes on from there";
+        eprintln!("{}", if RESUMABLE.load(Ordering::Relaxed) { resumed } else { message });
         std::process::exit(INTERRUPTED);
     })
     .into_diagnostic()

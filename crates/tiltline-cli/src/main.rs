@@ -2,13 +2,17 @@
 #![allow(clippy::print_stderr)]
 
 mod args;
+mod bench;
 mod config;
+mod dataset;
 mod info;
 mod interrupt;
 mod output;
 mod progress;
 mod quantity;
 mod reconstruct;
+mod score;
+mod simulate;
 mod summary;
 
 use std::process::ExitCode;
@@ -31,6 +35,10 @@ fn main() -> ExitCode {
 fn run(cli: Cli) -> Result<()> {
     match cli.command {
         Command::Reconstruct(flags) => reconstruct::run(&flags),
+        Command::Simulate(flags) => simulate::run(&flags),
+        Command::Score(flags) => score::run(&flags),
+        Command::Bench(flags) => bench::run(&flags),
+        Command::Dataset(flags) => dataset::run(&flags),
         Command::Info(flags) => info::run(&flags),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -55,3 +55,39 @@ impl Display {
         }
     }
 }
+
+/// Progress of work on a number of like things.
+pub struct Count {
+    what: &'static str,
+    bar: Option<ProgressBar>,
+    lines: bool,
+}
+
+impl Count {
+    /// A bar on a terminal, lines when piped and verbose, nothing when quiet.
+    pub fn new(what: &'static str, verbosity: Verbosity) -> Self {
+        let terminal = std::io::stderr().is_terminal() && !verbosity.quiet;
+        let bar = terminal.then(|| {
+            let style = ProgressStyle::with_template("{msg} {bar:24} {pos}/{len} {eta}");
+            ProgressBar::new(0).with_message(what).with_style(style.expect("the template is valid"))
+        });
+        Self { what, bar, lines: verbosity.verbose && !terminal }
+    }
+
+    /// Shows how far the work has come.
+    pub fn show(&self, done: usize, of: usize) {
+        if let Some(bar) = &self.bar {
+            bar.set_length(of as u64);
+            bar.set_position(done as u64);
+        } else if self.lines {
+            eprintln!("{} {done}/{of}", self.what);
+        }
+    }
+
+    /// Takes the bar off the screen.
+    pub fn clear(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}

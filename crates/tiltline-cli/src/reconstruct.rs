@@ -1,6 +1,7 @@
 //! `tiltline reconstruct`: resolves flags, file and metadata, runs the pipeline, writes the folder, prints the summary.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Mutex;
 use std::time::Instant;
 
@@ -18,7 +19,7 @@ use tiltline::refine::Refinement;
 use tiltline::ridge::{LinePolarity, RidgeDetector};
 use tiltline::warning::Warning;
 
-use crate::args::{Cli, Lines, Reconstruct, Refine};
+use crate::args::{Cli, Lines, Method, Reconstruct, Refine};
 use crate::config::{Config, RunRecord, run_toml};
 use crate::interrupt;
 use crate::output;
@@ -30,14 +31,32 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     let mut config = resolve(flags)?;
     export::check_target(&flags.output, flags.force).into_diagnostic()?;
     let display = Display::new(flags.verbosity);
+    let images = [flags.left.as_str(), &flags.right];
+    let summary = reconstruct(images, &mut config, &flags.output, flags.force, &|event| display.show(&event))?;
+    display.clear();
+    if flags.json {
+        output::print(&(serde_json::to_string_pretty(&summary).into_diagnostic()? + "\n"))
+    } else {
+        output::print(&format!("{summary}written to {}\n", flags.output.display()))
+    }
+}
+
+/// Reads a pair, reconstructs it and writes the folder; what the images' files say goes into the settings.
+pub fn reconstruct(
+    images: [&str; 2],
+    config: &mut Config,
+    output: &Path,
+    force: bool,
+    show: &(dyn Fn(&Event) + Sync),
+) -> Result<Summary> {
     let seconds = Mutex::new(BTreeMap::new());
     let progress = |event: Event| {
-        display.show(&event);
+        show(&event);
         if let Event::Finished(stage, time) = event {
             seconds.lock().expect("no thread panics while it holds the lock").insert(stage.word(), time);
         }
     };
-    let (pair, provenance, mut warnings) = timed(&progress, Stage::Read, || read_pair(flags, &mut config))?;
+    let (pair, provenance, mut warnings) = timed(&progress, Stage::Read, || read_pair(images, config))?;
     let sources = [pair.left.source.clone(), pair.right.source.clone()];
     let settings = &config.settings;
     let detector = RidgeDetector { settings: settings.ridge.clone() };
@@ -54,19 +73,41 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
         right,
         seconds: seconds.lock().expect("no thread panics while it holds the lock").clone(),
     };
-    let extra = [("run.toml", run_toml(&config, &record)?.into_bytes())];
-    timed(&progress, Stage::Export, || interrupt::write_all(&result, &extra, &flags.output, flags.force))?;
-    display.clear();
-    let summary = Summary::of(&result, provenance);
-    if flags.json {
-        output::print(&(serde_json::to_string_pretty(&summary).into_diagnostic()? + "\n"))
-    } else {
-        output::print(&format!("{summary}written to {}\n", flags.output.display()))
-    }
+    let extra = [("run.toml", run_toml(config, &record)?.into_bytes())];
+    timed(&progress, Stage::Export, || interrupt::write_all(&result, &extra, output, force))?;
+    Ok(Summary::of(&result, provenance))
 }
 
 /// Defaults, overridden by the settings file, overridden by flags.
 fn resolve(flags: &Reconstruct) -> Result<Config> {
+    let mut config = method(&flags.method)?;
+    config.settings.flip_depth |= flags.flip_depth;
+    let acquisition = &mut config.acquisition;
+    if let Some(text) = &flags.tilts {
+        let tilts = parse_tilts(text).unwrap_or_else(|error| wrong_usage(&format!("--tilts {text}: {error}")));
+        let [left, right] = tilts[..] else {
+            wrong_usage(&format!(
+                "--tilts {text} gives {} tilts; a pair has two, for example --tilts -4,4",
+                tilts.len()
+            ));
+        };
+        acquisition.tilts_deg = Some([left, right]);
+    }
+    if let Some(size) = flags.pixel_size {
+        acquisition.pixel_size_nm = Some(size.nm);
+    }
+    if let Some(axis_deg) = flags.tilt_axis.or(acquisition.tilt_axis_deg) {
+        if !axis_deg.is_finite() {
+            wrong_usage(&format!("--tilt-axis {axis_deg} is not an angle"));
+        }
+        acquisition.tilt_axis_deg = Some(axis_deg);
+    }
+    config.settings.validate().into_diagnostic()?;
+    Ok(config)
+}
+
+/// Settings of detection and matching: defaults, overridden by the settings file, overridden by flags.
+pub fn method(flags: &Method) -> Result<Config> {
     let mut config = match &flags.config {
         Some(path) => Config::read(path)?,
         None => Config::default(),
@@ -93,41 +134,19 @@ fn resolve(flags: &Reconstruct) -> Result<Config> {
         settings.matching.max_disparity_px = max_disparity_px;
     }
     settings.seed = flags.seed.unwrap_or(settings.seed);
-    settings.flip_depth |= flags.flip_depth;
-    let acquisition = &mut config.acquisition;
-    if let Some(text) = &flags.tilts {
-        let tilts = parse_tilts(text).unwrap_or_else(|error| wrong_usage(&format!("--tilts {text}: {error}")));
-        let [left, right] = tilts[..] else {
-            wrong_usage(&format!(
-                "--tilts {text} gives {} tilts; a pair has two, for example --tilts -4,4",
-                tilts.len()
-            ));
-        };
-        acquisition.tilts_deg = Some([left, right]);
-    }
-    if let Some(size) = flags.pixel_size {
-        acquisition.pixel_size_nm = Some(size.nm);
-    }
-    if let Some(axis_deg) = flags.tilt_axis.or(acquisition.tilt_axis_deg) {
-        if !axis_deg.is_finite() {
-            wrong_usage(&format!("--tilt-axis {axis_deg} is not an angle"));
-        }
-        acquisition.tilt_axis_deg = Some(axis_deg);
-    }
-    config.settings.validate().into_diagnostic()?;
     Ok(config)
 }
 
 /// Ends the program as a wrong flag does: a message with the usage, and exit code 2.
-fn wrong_usage(message: &str) -> ! {
+pub fn wrong_usage(message: &str) -> ! {
     Cli::command().error(ErrorKind::ValueValidation, message).exit()
 }
 
 /// Both images with their tilts and pixel size, where those came from, and doubts; what the files said goes into the
 /// record.
-fn read_pair(flags: &Reconstruct, config: &mut Config) -> Result<(StereoPair, Provenance, Vec<Warning>)> {
+fn read_pair(images: [&str; 2], config: &mut Config) -> Result<(StereoPair, Provenance, Vec<Warning>)> {
     let options = &config.settings.read;
-    let (left, right) = (read_micrograph_with(&flags.left, options), read_micrograph_with(&flags.right, options));
+    let [left, right] = images.map(|image| read_micrograph_with(image, options));
     let (mut left, mut right) = (left.into_diagnostic()?, right.into_diagnostic()?);
     let mut warnings = std::mem::take(&mut left.warnings);
     warnings.append(&mut right.warnings);

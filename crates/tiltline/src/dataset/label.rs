@@ -8,9 +8,9 @@ use super::item::{self, Files};
 use super::{DatasetError, Item, MANIFEST, Manifest};
 use crate::io::read_micrograph;
 use crate::simulate::geometry::Split;
-use crate::truth::{LabelWarning, ViewMap, import_labelme};
+use crate::truth::{LabelWarning, import_labelme};
 
-/// A labelled pair.
+/// A labelled pair. Rows of both images are taken as epipolar lines: label rectified images.
 #[derive(Clone, Debug)]
 pub struct LabelledPair<'a> {
     /// Name of the item: a folder in the data set.
@@ -23,8 +23,6 @@ pub struct LabelledPair<'a> {
     pub tilts_deg: Option<[f64; 2]>,
     /// Side of a pixel of the left image, where known.
     pub pixel_size_nm: Option<f64>,
-    /// From the projected specimen to each image, where known; without them rows are taken as epipolar lines.
-    pub maps: Option<[ViewMap; 2]>,
     /// Look of the images, for scores by family.
     pub family: Option<String>,
     /// What it is for.
@@ -69,7 +67,6 @@ pub fn add_labelled(folder: &Path, pair: &LabelledPair<'_>) -> Result<Vec<LabelW
         let extension =
             image.extension().map_or_else(String::new, |extension| format!(".{}", extension.to_string_lossy()));
         view.name = format!("{}{extension}", ["left", "right"][index]);
-        view.input_from_projection = pair.maps.map(|maps| maps[index]);
         files.push((view.name.clone(), fs::read(image).map_err(io(image))?));
     }
     files.extend(item::drawn_files(&truth, [0, 1])?);

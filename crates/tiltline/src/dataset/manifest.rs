@@ -63,6 +63,17 @@ pub struct GeometryFile {
     pub sha256: String,
 }
 
+impl GeometryFile {
+    /// The entry for a file.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    pub fn of(path: &Path) -> Result<Self, DatasetError> {
+        let file = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        Ok(Self { file, sha256: super::hash_file(path)? })
+    }
+}
+
 /// One specimen in its views.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

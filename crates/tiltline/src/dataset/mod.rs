@@ -14,6 +14,7 @@ mod item;
 pub mod label;
 mod make;
 mod manifest;
+mod scores;
 pub mod sets;
 
 use std::path::{Path, PathBuf};
@@ -24,6 +25,7 @@ pub use error::DatasetError;
 pub use item::{disparity_map, line_mask};
 pub use make::{Made, make};
 pub use manifest::{DatasetFormat, GeometryFile, Item, MANIFEST, Manifest};
+pub use scores::{SetScoreError, SetScores};
 
 use crate::truth::Truth;
 

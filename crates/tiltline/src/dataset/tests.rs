@@ -217,7 +217,6 @@ mod labelled {
             labels: [&label_files[0], &label_files[1]],
             tilts_deg: Some([-4.0, 4.0]),
             pixel_size_nm: None,
-            maps: None,
             family: None,
             split: Split::Train,
         };

@@ -75,6 +75,8 @@ pub struct PairScore {
     pub name: String,
     /// Family of the images, if the truth says.
     pub family: Option<String>,
+    /// Kind of image within its data set, if it says.
+    pub kind: Option<String>,
     /// Angle from the left view to the right one in degrees, if known.
     pub phi_deg: Option<f64>,
     /// The paper's protocol.
@@ -123,6 +125,7 @@ pub fn score_pair(
     Ok(PairScore {
         name: name.into(),
         family: pair.truth.family.clone(),
+        kind: None,
         phi_deg: pair.tilts.map(|tilts| (tilts.phi().to_degrees() * 1e6).round() / 1e6),
         paper: paper_score(pair, &residuals),
         end_to_end,

@@ -8,7 +8,7 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use crate::score::summary::Figures;
-use crate::score::{Calibration, GroupScore, PairScore, ScoreSettings, Summary};
+use crate::score::{Calibration, Group, GroupScore, PairScore, ScoreSettings, Summary};
 
 /// Where figures come from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -112,6 +112,9 @@ impl Report {
             table(text, &groups, |name| !PAPER.contains(&name))?;
             self.write_contrast(text)?;
         }
+        let Summary { by_family_and_angle, by_kind, .. } = &self.summary;
+        rows(text, "By family and angle", by_family_and_angle)?;
+        rows(text, "By kind", by_kind)?;
         self.write_pairs(text)
     }
 
@@ -212,6 +215,46 @@ fn table(text: &mut String, groups: &[&GroupScore], shown: impl Fn(&str) -> bool
                     }
                     write!(text, " |")?;
                 }
+            }
+        }
+        writeln!(text)?;
+    }
+    writeln!(text)
+}
+
+/// The main figures, one row a group; for groups that are too many for columns.
+fn rows(text: &mut String, title: &str, groups: &[GroupScore]) -> std::fmt::Result {
+    if groups.is_empty() {
+        return Ok(());
+    }
+    writeln!(text, "## {title}\n")?;
+    writeln!(
+        text,
+        "| group | pairs | coverage | EPE, px | bad-1, % | bad-3, % | bad-5, % | depth error, px | completeness | correctness | F-score | \
+         clDice |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
+    )?;
+    for score in groups {
+        let Group { phi_deg, family, kind } = &score.group;
+        let names = [family.clone(), kind.clone(), phi_deg.map(|phi| format!("{phi} deg"))];
+        let name = names.into_iter().flatten().collect::<Vec<_>>().join(", ");
+        write!(text, "| {name} | {} |", score.images)?;
+        let figures = &score.figures;
+        let shown = [
+            (figures.coverage, 3),
+            (figures.epe_px, 2),
+            (figures.bad_1_percent, 1),
+            (figures.bad_3_percent, 1),
+            (figures.bad_5_percent, 1),
+            (figures.depth_error_px, 1),
+            (figures.completeness, 3),
+            (figures.correctness, 3),
+            (figures.f_score, 3),
+            (figures.cl_dice, 3),
+        ];
+        for (estimate, digits) in shown {
+            match estimate {
+                Some(estimate) => write!(text, " {:.digits$} |", estimate.value)?,
+                None => write!(text, " - |")?,
             }
         }
         writeln!(text)?;

@@ -70,6 +70,13 @@ impl From<&Reconstruction> for ResultCurves {
     }
 }
 
+impl ResultCurves {
+    /// A result without any line: what a pair that could not be reconstructed counts as.
+    pub fn none() -> Self {
+        Self { unit: LengthUnit::Px, curves: Vec::new(), unmatched_left: Some(Vec::new()) }
+    }
+}
+
 /// Columns of `curves.csv`, `{unit}` being nm or px.
 const CURVE_COLUMNS: &str = "curve,point,x_left_px,y_left_px,x_right_px,y_right_px,disparity_px,sigma_disparity_px,\
     x_{unit},y_{unit},z_{unit},sigma_z_{unit},flag";

@@ -108,6 +108,8 @@ pub struct Group {
     pub phi_deg: Option<f64>,
     /// Family.
     pub family: Option<String>,
+    /// Kind of image in its data set.
+    pub kind: Option<String>,
 }
 
 /// Scores of a group of images.
@@ -123,7 +125,7 @@ pub struct GroupScore {
     pub calibration: Calibration,
 }
 
-/// All groups: everything, each tilt angle, each family.
+/// All groups: everything, and what the images differ in.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// All images.
@@ -132,6 +134,10 @@ pub struct Summary {
     pub by_angle: Vec<GroupScore>,
     /// One group for each family, where there are several.
     pub by_family: Vec<GroupScore>,
+    /// One group for each family at each angle, where there are several of both.
+    pub by_family_and_angle: Vec<GroupScore>,
+    /// One group for each kind of image in a data set, where there are several.
+    pub by_kind: Vec<GroupScore>,
 }
 
 impl Summary {
@@ -139,27 +145,42 @@ impl Summary {
     pub fn new(scores: &[PairScore], settings: &ScoreSettings) -> Self {
         let all: Vec<&PairScore> = scores.iter().collect();
         let angle = |score: &PairScore| score.phi_deg.map(|phi| (phi.abs() / ANGLE_STEP_DEG).round() * ANGLE_STEP_DEG);
-        let mut angles: Vec<f64> = scores.iter().filter_map(angle).collect();
-        angles.sort_by(f64::total_cmp);
-        angles.dedup();
-        let mut families: Vec<&String> = scores.iter().filter_map(|score| score.family.as_ref()).collect();
-        families.sort();
-        families.dedup();
-        let of_angle = |&phi: &f64| {
-            let members: Vec<&PairScore> = scores.iter().filter(|score| angle(score) == Some(phi)).collect();
-            group_score(Group { phi_deg: Some(phi), family: None }, &members, settings)
-        };
-        let of_family = |family: &&String| {
-            let members: Vec<&PairScore> =
-                scores.iter().filter(|score| score.family.as_ref() == Some(family)).collect();
-            group_score(Group { phi_deg: None, family: Some((*family).clone()) }, &members, settings)
-        };
+        let by = |key: &dyn Fn(&PairScore) -> Option<Group>| groups(scores, key, settings);
+        let of_angle = |score: &PairScore| Some(Group { phi_deg: Some(angle(score)?), ..Group::default() });
+        let of_family = |score: &PairScore| Some(Group { family: Some(score.family.clone()?), ..Group::default() });
+        let of_kind = |score: &PairScore| Some(Group { kind: Some(score.kind.clone()?), ..Group::default() });
+        let of_both = |score: &PairScore| Some(Group { phi_deg: Some(angle(score)?), ..of_family(score)? });
+        let (by_angle, by_family) = (by(&of_angle), by(&of_family));
+        let crossed = !by_angle.is_empty() && !by_family.is_empty();
         Self {
             all: group_score(Group::default(), &all, settings),
-            by_angle: if angles.len() > 1 { angles.iter().map(of_angle).collect() } else { Vec::new() },
-            by_family: if families.len() > 1 { families.iter().map(of_family).collect() } else { Vec::new() },
+            by_family_and_angle: if crossed { by(&of_both) } else { Vec::new() },
+            by_angle,
+            by_family,
+            by_kind: by(&of_kind),
         }
     }
+}
+
+/// The groups that a key makes, in order; none where there is only one.
+fn groups(
+    scores: &[PairScore],
+    key: &dyn Fn(&PairScore) -> Option<Group>,
+    settings: &ScoreSettings,
+) -> Vec<GroupScore> {
+    let mut found: Vec<Group> = Vec::new();
+    for group in scores.iter().filter_map(key) {
+        if !found.contains(&group) {
+            found.push(group);
+        }
+    }
+    if found.len() < 2 {
+        return Vec::new();
+    }
+    let angle = |group: &Group| group.phi_deg.unwrap_or_default();
+    found.sort_by(|a, b| (&a.family, &a.kind).cmp(&(&b.family, &b.kind)).then(angle(a).total_cmp(&angle(b))));
+    let members = |group: &Group| scores.iter().filter(|score| key(score).as_ref() == Some(group)).collect::<Vec<_>>();
+    found.into_iter().map(|group| group_score(group.clone(), &members(&group), settings)).collect()
 }
 
 fn group_score(group: Group, scores: &[&PairScore], settings: &ScoreSettings) -> GroupScore {
