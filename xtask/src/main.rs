@@ -1,8 +1,9 @@
-//! The project's own chores: `cargo xtask ci|test|reference|example`.
+//! The project's own chores: `cargo xtask ci|test|reference|figures|example`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod chores;
 mod example;
+mod figures;
 mod npy;
 mod reference;
 mod venv;
@@ -13,6 +14,7 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   ci                    formatting, clippy, docs, tests, and cargo-deny where it is installed
   test                  the tests
   reference [TOPIC...]  comparisons with independent implementations (needs Python)
+  figures               draws the pictures of docs/simulator.md again
   example               renders the example pair in examples/ again";
 
 fn main() -> Result<()> {
@@ -21,6 +23,7 @@ fn main() -> Result<()> {
         Some("ci") => chores::ci(),
         Some("test") => chores::test(),
         Some("reference") => reference::run(&arguments[1..]),
+        Some("figures") => figures::draw(),
         Some("example") => example::render_pair(),
         _ => Err(miette!("{USAGE}")),
     }

@@ -76,7 +76,8 @@ pub fn calibration<'a>(residuals: impl IntoIterator<Item = &'a Residual>) -> Cal
     }
     let share = |pieces: &[(f64, ResidualError, f64)], multiple| {
         let within = pieces.iter().filter(|piece| piece.1.is_within(multiple) == Some(true));
-        within.map(|piece| piece.2).sum::<f64>() / length(pieces)
+        // An empty sum is -0.
+        (within.map(|piece| piece.2).sum::<f64>() / length(pieces)).max(0.0)
     };
     let of_flag = |flag: Flag| {
         let pieces: Vec<_> = pieces.iter().filter(|piece| piece.1.flag == flag).copied().collect();

@@ -1,56 +1,36 @@
-//! A page of small physical images: what the simulator makes of textbook cases.
-//!
-//! ```text
-//! cargo run --release -p tiltline --example physics_gallery -- FOLDER
-//! ```
-//!
-//! Writes one PNG a case (grey values stretched from the 0.2 to the 99.8 percentile) and `gallery.png`, all cases in the
-//! order in which [`cases`] lists them, five in a row. docs/simulator.md says what is to be seen.
+//! Textbook cases of diffraction contrast, for a microscopist to recognise.
 
-use std::error::Error;
 use std::f64::consts::PI;
-use std::path::Path;
 
+use miette::{IntoDiagnostic, Result};
 use ndarray::Array2;
 use tiltline::filter::percentiles;
 use tiltline::geometry::{Point3, Vector3};
 use tiltline::simulate::physics::{Detector, PhysicsSettings, image};
 use tiltline::simulate::{Camera, Dislocation, Foil};
 
-const SIDE_PX: usize = 240;
-const PIXEL_NM: f64 = 1.5;
+const SIDE_PX: usize = 200;
+const PIXEL_NM: f64 = 1.8;
 /// A perfect dislocation of an fcc metal is about this long.
 const B_NM: f64 = 0.25;
 
 struct Case {
-    name: &'static str,
     foil: Foil,
     settings: PhysicsSettings,
     tilt_rad: f64,
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let folder = std::env::args().nth(1).ok_or("usage: physics_gallery FOLDER")?;
-    let folder = Path::new(&folder);
-    std::fs::create_dir_all(folder)?;
-    let cases = cases();
-    let across = 5;
-    let cell = SIDE_PX + 6;
-    let mut sheet = Array2::<f32>::ones([cases.len().div_ceil(across) * cell, across * cell]);
-    for (index, case) in cases.iter().enumerate() {
+/// All cases as pictures, in the order of docs/simulator.md.
+pub fn pictures() -> Result<Vec<Array2<f32>>> {
+    let picture = |case: Case| {
         let view = Camera { scale: 1.0 / PIXEL_NM, tilt_rad: case.tilt_rad, ..Camera::new([SIDE_PX, SIDE_PX]) };
-        let intensity = image(&case.foil, &case.settings, &view)?.intensity;
+        let intensity = image(&case.foil, &case.settings, &view).into_diagnostic()?.intensity;
         let [low, high] = percentiles(&intensity, [0.002, 0.998]);
         // At least 2 percent of contrast from black to white: what is invisible stays grey.
         let (middle, range) = (0.5 * (low + high), (high - low).max(0.01 * (low + high)));
-        let stretched = intensity.mapv(|value| (0.5 + (value - middle) / range).clamp(0.0, 1.0));
-        write_png(&folder.join(format!("{:02}-{}.png", index + 1, case.name)), &stretched)?;
-        let (top, left) = ((index / across) * cell, (index % across) * cell);
-        for ((row, column), value) in stretched.indexed_iter() {
-            sheet[[top + row, left + column]] = *value;
-        }
-    }
-    write_png(&folder.join("gallery.png"), &sheet)
+        Ok(intensity.mapv(|value| (0.5 + (value - middle) / range).clamp(0.0, 1.0)))
+    };
+    cases().into_iter().map(picture).collect()
 }
 
 /// g along x with |g.b| = 1 for b along x; slightly positive deviation; parallel bright field.
@@ -67,7 +47,7 @@ fn cases() -> Vec<Case> {
     let x = Vector3::x() * B_NM;
     let along = Vector3::new(0.0, 0.85, 0.5).normalize();
     let thick = 180.0;
-    let case = |name, foil, settings| Case { name, foil, settings, tilt_rad: 0.0 };
+    let case = |foil, settings| Case { foil, settings, tilt_rad: 0.0 };
     let oscillating = PhysicsSettings { deviation_per_nm: 0.0, ..usual() };
     let weak = PhysicsSettings {
         g_per_nm: Vector3::new(2.0 / B_NM, 0.0, 0.0),
@@ -82,32 +62,46 @@ fn cases() -> Vec<Case> {
     let bent = PhysicsSettings { bend_per_um: [0.12, 0.0, 0.02], deviation_per_nm: 0.01, ..usual() };
     let wedge = PhysicsSettings { wedge: [0.0, 0.7], deviation_per_nm: 0.002, ..usual() };
     let mut cases = vec![
-        case(
-            "screws-inclined",
-            screws(120.0),
-            PhysicsSettings { g_per_nm: Vector3::new(0.0, 1.0 / B_NM, 0.0), ..usual() },
-        ),
-        case("screws-invisible", screws(120.0), usual()),
-        case("edge-inclined", three_inclined(120.0, x), usual()),
-        case("mixed-inclined", three_inclined(120.0, (Vector3::x() + along) * B_NM), usual()),
-        case("dotted-thick-foil-s-0", three_inclined(thick, x), oscillating),
-        case("horizontal-edges-at-three-depths", horizontal(120.0, x), usual()),
-        case("dipoles", dipoles(120.0, x), usual()),
-        case("loops-in-plane", loops(120.0, Vector3::new(0.0, 0.0, B_NM)), usual()),
-        case("loops-b-in-plane", loops(120.0, x), usual()),
-        case("double-image-g-b-2", three_inclined(120.0, x * 2.0), usual()),
-        case("bowed-bright-field", bowed(120.0), usual()),
-        case("bowed-dark-field", bowed(120.0), PhysicsSettings { detector: Detector::DarkField, ..usual() }),
-        case("bowed-weak-beam", bowed(120.0), weak),
-        case("bowed-stem-abf", bowed(120.0), annular.clone()),
-        case("bowed-stem-adf", bowed(120.0), PhysicsSettings { detector: diffuse, ..stem }),
-        case("bent-foil", bowed(120.0), bent),
-        case("wedge", bowed(140.0), wedge),
-        case("thick-foil-stem-abf", three_inclined(thick, x), PhysicsSettings { deviation_per_nm: 0.0, ..annular }),
+        // Screws inclined.
+        case(screws(120.0), PhysicsSettings { g_per_nm: Vector3::new(0.0, 1.0 / B_NM, 0.0), ..usual() }),
+        // Screws invisible.
+        case(screws(120.0), usual()),
+        // Edge inclined.
+        case(three_inclined(120.0, x), usual()),
+        // Mixed inclined.
+        case(three_inclined(120.0, (Vector3::x() + along) * B_NM), usual()),
+        // Dotted thick foil s 0.
+        case(three_inclined(thick, x), oscillating),
+        // Horizontal edges at three depths.
+        case(horizontal(120.0, x), usual()),
+        // Dipoles.
+        case(dipoles(120.0, x), usual()),
+        // Loops in plane.
+        case(loops(120.0, Vector3::new(0.0, 0.0, B_NM)), usual()),
+        // Loops b in plane.
+        case(loops(120.0, x), usual()),
+        // Double image g b 2.
+        case(three_inclined(120.0, x * 2.0), usual()),
+        // Bowed bright field.
+        case(bowed(120.0), usual()),
+        // Bowed dark field.
+        case(bowed(120.0), PhysicsSettings { detector: Detector::DarkField, ..usual() }),
+        // Bowed weak beam.
+        case(bowed(120.0), weak),
+        // Bowed stem abf.
+        case(bowed(120.0), annular.clone()),
+        // Bowed stem adf.
+        case(bowed(120.0), PhysicsSettings { detector: diffuse, ..stem }),
+        // Bent foil.
+        case(bowed(120.0), bent),
+        // Wedge.
+        case(bowed(140.0), wedge),
+        // Thick foil stem abf.
+        case(three_inclined(thick, x), PhysicsSettings { deviation_per_nm: 0.0, ..annular }),
     ];
     // A stereo pair: everything else alike, 20 degrees apart.
-    for (name, tilt_deg) in [("pair-minus-10-degrees", -10.0_f64), ("pair-plus-10-degrees", 10.0)] {
-        cases.push(Case { name, foil: bowed(120.0), settings: usual(), tilt_rad: tilt_deg.to_radians() });
+    for tilt_deg in [-10.0_f64, 10.0] {
+        cases.push(Case { foil: bowed(120.0), settings: usual(), tilt_rad: tilt_deg.to_radians() });
     }
     cases
 }
@@ -203,15 +197,4 @@ fn bowed(thickness: f64) -> Foil {
         line(points.collect(), vectors[i % 3] * B_NM)
     });
     foil(thickness, lines.collect())
-}
-
-/// An 8-bit grey PNG of values from 0 to 1.
-fn write_png(path: &Path, values: &Array2<f32>) -> Result<(), Box<dyn Error>> {
-    let (height, width) = values.dim();
-    let mut encoder = png::Encoder::new(std::fs::File::create(path)?, width as u32, height as u32);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Eight);
-    let bytes: Vec<u8> = values.iter().map(|value| (value * 255.0).round() as u8).collect();
-    encoder.write_header()?.write_image_data(&bytes)?;
-    Ok(())
 }
