@@ -23,6 +23,8 @@ use crate::truth::{ProjectedCurve, TrueView, Truth, ViewGeometry, ViewMap};
 
 /// Side of the image that `foil.field_nm` speaks of, px.
 const NOMINAL_SIDE_PX: f64 = 512.0;
+/// A field is at most this many times the box of a network.
+const MOST_BOXES: f64 = 3.0;
 /// Greatest distance of neighbouring points of the truth, px.
 const SPACING_PX: f64 = 0.7;
 /// Contrast that wanders from one side of a line to the other is averaged over this length along it, px (standard
@@ -134,14 +136,24 @@ fn field_nm(settings: &SimulateSettings) -> Range {
 }
 
 fn cut_body(settings: &SimulateSettings, network: &Network, rng: &mut Pcg64) -> Result<Body, SimulateError> {
-    let field_nm = field_nm(settings).sample_log(rng);
-    let margin = 1.0 + 2.0 * settings.foil.margin;
     let size_nm = network.size_nm();
+    // A field of many boxes would show the same lines again and again.
+    let field_nm = field_nm(settings).sample_log(rng).min(MOST_BOXES * size_nm.max());
+    let margin = 1.0 + 2.0 * settings.foil.margin;
+    // About a node, so that there is something to see in networks that are mostly empty.
+    if network.nodes.is_empty() {
+        return Err(SimulateError::EmptyNetwork);
+    }
+    let node = &network.nodes[rng.random_range(0..network.nodes.len())];
+    let thickness_nm = settings.foil.thickness_nm.sample(rng);
+    let specimen_from_network = random_rotation(rng);
+    let extent = [field_nm, field_nm, thickness_nm];
+    let aside = Vector3::from_fn(|axis, _| 0.3 * extent[axis] * rng.random_range(-1.0..1.0));
     let cut = Cut {
-        thickness_nm: settings.foil.thickness_nm.sample(rng),
+        thickness_nm,
         size_nm: [field_nm * margin; 2],
-        specimen_from_network: random_rotation(rng),
-        centre: network.low + Vector3::from_fn(|axis, _| size_nm[axis] * rng.random::<f64>()),
+        specimen_from_network,
+        centre: node.position + specimen_from_network.inverse() * aside,
         spacing_nm: settings.foil.spacing_nm,
     };
     let mut foil = foil_from_network(network, &cut)?;
@@ -368,6 +380,19 @@ mod tests {
         assert_eq!(sample(&tilted, Lines::Random, 7).unwrap().foil, one);
         assert_eq!(sample(&small(Family::Cantor, Mode::Physics), Lines::Random, 7).unwrap().foil, one);
         assert_ne!(sample(&drawn, Lines::Random, 8).unwrap().foil, one);
+    }
+
+    /// A short straight line in a large empty box is in view, wherever the foil is cut.
+    #[test]
+    fn foils_are_cut_where_a_network_has_lines() {
+        let text = "dataFileVersion = 4\nnumFileSegments = 1\nminCoordinates = [\n-20000\n-20000\n-20000\n]\n\
+            maxCoordinates = [\n20000\n20000\n20000\n]\nnodeCount = 2\ndataDecompType = 1\ndataDecompGeometry = [ 1 1 1 ]\n\
+            nodalData =\n 0,0 0 0 0 1 7\n 0,1 1 0 0\n 0 0 1\n 0,1 2000 0 0 1 7\n 0,0 -1 0 0\n 0 0 1\n";
+        let network = Network::parse(text, &Default::default()).unwrap();
+        for seed in 0..8 {
+            let sample = sample(&small(Family::Mixed, Mode::Parametric), Lines::Network(&network), seed).unwrap();
+            assert!(!sample.truth.curves.is_empty(), "{seed}");
+        }
     }
 
     /// Dark where the truth says a line is visible: the mean grey on centres of contrast is below that 8 px beside.

@@ -120,6 +120,9 @@ pub enum SimulateError {
     /// Physical parameters.
     #[error(transparent)]
     Physics(#[from] super::physics::PhysicsError),
+    /// A network without a line.
+    #[error("the network has no nodes: there is nothing to show")]
+    EmptyNetwork,
     /// A network that a foil cannot be cut from.
     #[error(transparent)]
     Cut(#[from] super::slab::CutError),
