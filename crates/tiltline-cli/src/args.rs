@@ -104,6 +104,10 @@ pub struct Info {
     /// Micrographs or series.
     #[arg(required = true)]
     pub files: Vec<String>,
+    /// Also measure the image as the paper's Table 3 does: signal-to-noise ratio of lines and of background, contrast. Lines are
+    /// those that the ridge filter finds. Stacks need FILE#k.
+    #[arg(long)]
+    pub statistics: bool,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,

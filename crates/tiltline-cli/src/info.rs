@@ -1,8 +1,9 @@
 //! `tiltline info`: what is in a micrograph or series.
 
 use miette::{IntoDiagnostic, Result, WrapErr, miette};
-
-use tiltline::io::FileInfo;
+use serde::Serialize;
+use tiltline::io::{FileInfo, read_micrograph};
+use tiltline::score::{ImageStatistics, detected_lines, image_statistics};
 
 use crate::args::Info;
 use crate::output;
@@ -12,9 +13,9 @@ pub fn run(flags: &Info) -> Result<()> {
     let mut failures = 0;
     let mut described = Vec::new();
     for file in &flags.files {
-        match tiltline::io::info(file).into_diagnostic().wrap_err_with(|| format!("cannot read {file}")) {
-            Ok(info) if flags.json => described.push(info),
-            Ok(info) => output::print(&table(&info))?,
+        match describe(file, flags.statistics).wrap_err_with(|| format!("cannot read {file}")) {
+            Ok(description) if flags.json => described.push(description),
+            Ok(description) => output::print(&table(&description))?,
             Err(error) => {
                 failures += 1;
                 eprintln!("{error:?}");
@@ -30,8 +31,30 @@ pub fn run(flags: &Info) -> Result<()> {
     Ok(())
 }
 
+/// What is in a file, and what its image measures.
+#[derive(Serialize)]
+struct Description {
+    #[serde(flatten)]
+    info: FileInfo,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    statistics: Option<ImageStatistics>,
+}
+
+fn describe(file: &str, statistics: bool) -> Result<Description> {
+    let info = match file.rsplit_once('#') {
+        // A section is described as the file it is in.
+        Some((path, _)) if !std::path::Path::new(file).exists() => tiltline::io::info(path),
+        _ => tiltline::io::info(file),
+    };
+    let measure = || {
+        let image = read_micrograph(file).into_diagnostic()?.pixels;
+        image_statistics(&image, &detected_lines(&image)).into_diagnostic()
+    };
+    Ok(Description { info: info.into_diagnostic()?, statistics: statistics.then(measure).transpose()? })
+}
+
 /// A file's description as lines of `name value`.
-fn table(info: &FileInfo) -> String {
+fn table(Description { info, statistics }: &Description) -> String {
     let mut text = format!("{}\n", info.path);
     let mut row = |name: &str, value: String| text.push_str(&format!("  {name:<12} {value}\n"));
     let from = |source: &Option<String>| source.as_ref().map_or(String::new(), |source| format!(" ({source})"));
@@ -48,6 +71,15 @@ fn table(info: &FileInfo) -> String {
             String::new()
         };
         row("intensity", format!("{} to {}, mean {:.4}{pages}", range.min, range.max, range.mean));
+    }
+    if let Some(found) = statistics {
+        let decibel = |value: Option<f64>| value.map_or("unknown".into(), |value| format!("{value:.1} dB"));
+        row("SNR lines", decibel(found.snr_lines_db) + " (lines are those the ridge filter finds)");
+        row("SNR backgr.", decibel(found.snr_background_db));
+        let grey =
+            |value: Option<f64>| value.map_or("unknown".into(), |value| format!("{value:.1} grey levels of 255"));
+        row("contrast", grey(found.contrast_grey) + " (background less lines)");
+        row("line share", format!("{:.1} % of the pixels", 100.0 * found.line_share));
     }
     for warning in &info.warnings {
         row("warning", warning.clone());

@@ -6,6 +6,7 @@
 //! All lengths and weights are arc lengths of sub-pixel curves: how densely a file's points are set changes no score.
 
 mod calibration;
+mod detected;
 mod end_to_end;
 mod error;
 mod grid;
@@ -23,6 +24,7 @@ mod summary;
 use serde::{Deserialize, Serialize};
 
 pub use calibration::{Calibration, FlagCalibration, SigmaDecile, calibration};
+pub use detected::detected_lines;
 pub use end_to_end::{ContrastScore, EndToEndScore, FAR_PX, Spread};
 pub use error::ScoreError;
 pub use junctions::JunctionScore;

@@ -40,7 +40,7 @@ impl Default for AcquisitionSettings {
             blur_px: [0.3, 1.3],
             dose: [150.0, 10_000.0],
             read_noise: [0.003, 0.04],
-            correlated: 0.6,
+            correlated: 0.5,
             streaks: 0.3,
             border: 0.12,
             jitter: 0.1,
@@ -69,7 +69,10 @@ pub struct Acquisition {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Border {
     side: usize,
-    width_px: usize,
+    /// In the middle of the side.
+    width_px: f64,
+    /// Change of the width along the side, px per px: borders from alignment are wedges.
+    slope: f64,
     level: f32,
 }
 
@@ -102,9 +105,27 @@ impl AcquisitionSettings {
 }
 
 impl Acquisition {
-    /// The recordings of all views of one foil.
+    /// The recordings of all views of one foil: one microscope on one day, so the kind of noise, blur and streaks is the same,
+    /// and dose and focus nearly so; gain, contrast curve, vignetting and borders are each view's own.
     pub fn of_views(rng: &mut Pcg64, settings: &AcquisitionSettings, count: usize) -> Vec<Self> {
-        (0..count).map(|_| Self::random(rng, settings)).collect()
+        let first = Self::random(rng, settings);
+        let mut views = vec![first.clone()];
+        for _ in 1..count {
+            let own = Self::random(rng, settings);
+            let [dose, focus] = [0; 2].map(|_| rng.random_range(-1.0_f64..1.0));
+            views.push(Self {
+                dose: first.dose * (0.25 * dose).exp(),
+                blur_px: first.blur_px * (0.2 * focus).exp(),
+                gain: own.gain,
+                gamma: first.gamma + 0.3 * (own.gamma - first.gamma),
+                vignetting: own.vignetting,
+                border: own.border,
+                seed: own.seed,
+                ..first.clone()
+            });
+        }
+        views.truncate(count);
+        views
     }
 
     /// A random recording.
@@ -116,13 +137,19 @@ impl Acquisition {
             blur_px: range(rng, settings.blur_px),
             dose: log_dose.exp(),
             read_noise: range(rng, settings.read_noise),
-            grain_px: if chance(rng, settings.correlated) { rng.random_range(0.35..2.2) } else { 0.0 },
-            coarse: chance(rng, 0.5 * settings.correlated)
-                .then(|| (rng.random_range(2.5..9.0), rng.random_range(0.1..0.7))),
+            // Mostly as from resizing (half a pixel), now and then as from denoising.
+            grain_px: if chance(rng, settings.correlated) {
+                rng.random_range(0.35_f64.ln()..1.6_f64.ln()).exp()
+            } else {
+                0.0
+            },
+            coarse: chance(rng, 0.3 * settings.correlated)
+                .then(|| (rng.random_range(2.0..7.0), rng.random_range(0.03..0.35))),
             streaks: chance(rng, settings.streaks).then(|| (rng.random_range(0.003..0.05), rng.random_range(0.0..1.5))),
             border: chance(rng, settings.border).then(|| Border {
                 side: rng.random_range(0..4),
-                width_px: rng.random_range(2..40),
+                width_px: rng.random_range(2.0..40.0),
+                slope: if chance(rng, 0.5) { rng.random_range(-0.15..0.15) } else { 0.0 },
                 level: if chance(rng, 0.75) { 0.0 } else { rng.random_range(0.0..1.0) },
             }),
             jitter_px: if chance(rng, settings.jitter) { rng.random_range(0.1..0.6) } else { 0.0 },
@@ -162,8 +189,9 @@ impl Acquisition {
         let mut valid = Array2::from_elem((height, width), true);
         if let Some(border) = self.border {
             for ((row, column), value) in out.indexed_iter_mut() {
-                let distance = [row, column, height - 1 - row, width - 1 - column][border.side];
-                if distance < border.width_px {
+                let distance = [row, column, height - 1 - row, width - 1 - column][border.side] as f64;
+                let along = [column as f64 - 0.5 * width as f64, row as f64 - 0.5 * height as f64][border.side % 2];
+                if distance < border.width_px + border.slope * along {
                     *value = border.level;
                     valid[[row, column]] = false;
                 }

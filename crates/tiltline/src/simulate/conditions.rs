@@ -53,8 +53,8 @@ impl Default for ConditionSettings {
             convergence_mrad: Range::new(4.0, 15.0),
             dark_field: 0.12,
             weak_beam: 0.5,
-            bend_per_um: Range::new(0.0, 0.03),
-            wedge: Range::new(0.0, 0.04),
+            bend_per_um: Range::new(0.0, 0.006),
+            wedge: Range::new(0.0, 0.02),
             blur_nm: Range::new(0.5, 2.5),
             deviation_change: 0.2,
         }

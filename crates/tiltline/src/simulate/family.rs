@@ -42,7 +42,7 @@ impl SimulateSettings {
 
 /// Clear lines on an even background.
 fn gan_look() -> LookSettings {
-    LookSettings { line_contrast: [0.15, 0.7], boundary_families: 0.2, background: 0.6, ..LookSettings::default() }
+    LookSettings { line_contrast: [0.1, 0.5], boundary_families: 0.3, background: 1.1, ..LookSettings::default() }
 }
 
 fn gan_conditions() -> ConditionSettings {
@@ -51,12 +51,23 @@ fn gan_conditions() -> ConditionSettings {
 
 /// Little noise.
 fn gan_acquisition() -> AcquisitionSettings {
-    AcquisitionSettings { dose: [2000.0, 100_000.0], read_noise: [0.001, 0.01], ..AcquisitionSettings::default() }
+    AcquisitionSettings {
+        dose: [2000.0, 60_000.0],
+        read_noise: [0.002, 0.012],
+        correlated: 0.6,
+        ..AcquisitionSettings::default()
+    }
 }
 
 /// Boundaries of all kinds.
 fn tial_look() -> LookSettings {
-    LookSettings { boundary_families: 1.3, ..LookSettings::default() }
+    LookSettings {
+        line_width_px: [1.7, 8.0],
+        line_contrast: [0.1, 0.7],
+        boundary_families: 0.8,
+        bright: 0.08,
+        ..LookSettings::default()
+    }
 }
 
 fn tial_conditions() -> ConditionSettings {
@@ -64,12 +75,12 @@ fn tial_conditions() -> ConditionSettings {
 }
 
 fn tial_acquisition() -> AcquisitionSettings {
-    AcquisitionSettings { dose: [300.0, 10_000.0], ..AcquisitionSettings::default() }
+    AcquisitionSettings { dose: [150.0, 6000.0], correlated: 0.35, ..AcquisitionSettings::default() }
 }
 
 /// Weak lines in noise.
 fn cantor_look() -> LookSettings {
-    LookSettings { line_contrast: [0.05, 0.45], ..LookSettings::default() }
+    LookSettings { line_contrast: [0.12, 0.6], bright: 0.1, background: 0.8, ..LookSettings::default() }
 }
 
 fn cantor_conditions() -> ConditionSettings {
@@ -77,5 +88,10 @@ fn cantor_conditions() -> ConditionSettings {
 }
 
 fn cantor_acquisition() -> AcquisitionSettings {
-    AcquisitionSettings { dose: [80.0, 2000.0], ..AcquisitionSettings::default() }
+    AcquisitionSettings {
+        dose: [120.0, 2400.0],
+        read_noise: [0.006, 0.035],
+        correlated: 0.2,
+        ..AcquisitionSettings::default()
+    }
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::acquisition::{Acquisition, Recording};
 use super::geometry::crystal::random_rotation;
 use super::geometry::polyline::HalfSpace;
-use super::geometry::{Crystal, Range, resample, sample_foil};
+use super::geometry::{Crystal, Range, length_in_field_nm, resample, sample_foil};
 use super::paradis::Network;
 use super::parametric::{LookSettings, Specimen};
 use super::physics;
@@ -25,6 +25,8 @@ use crate::truth::{ProjectedCurve, TrueView, Truth, ViewGeometry, ViewMap};
 const NOMINAL_SIDE_PX: f64 = 512.0;
 /// A field is at most this many times the box of a network.
 const MOST_BOXES: f64 = 3.0;
+/// Lines of a network may be this many times as long as those of a random foil at most; more cannot be told apart.
+const CROWDED: f64 = 4.0;
 /// Greatest distance of neighbouring points of the truth, px.
 const SPACING_PX: f64 = 0.7;
 /// Contrast that wanders from one side of a line to the other is averaged over this length along it, px (standard
@@ -158,6 +160,13 @@ fn cut_body(settings: &SimulateSettings, network: &Network, rng: &mut Pcg64) -> 
     };
     let mut foil = foil_from_network(network, &cut)?;
     foil.size_nm = [field_nm; 2];
+    let length_nm: f64 = foil.dislocations.iter().map(|line| length_in_field_nm(line, foil.size_nm)).sum();
+    let most_nm = CROWDED * settings.foil.field_lengths.high * field_nm;
+    if length_nm > most_nm {
+        // Both length and field are in proportion to the field: halving the field halves their ratio.
+        let field_nm = field_nm * most_nm / length_nm;
+        return Err(SimulateError::TooDense { lengths: length_nm / foil.size_nm[0], thickness_nm, field_nm });
+    }
     Ok(Body { foil, boundaries: Vec::new(), crystal: None })
 }
 

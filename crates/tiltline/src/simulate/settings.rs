@@ -123,6 +123,20 @@ pub enum SimulateError {
     /// A network without a line.
     #[error("the network has no nodes: there is nothing to show")]
     EmptyNetwork,
+    /// A network whose lines cover each other.
+    #[error(
+        "the network is too dense: a foil of {thickness_nm:.0} nm shows lines {lengths:.0} times as long as the field, which no image \
+         can tell apart; in a settings file, lower foil.field_nm below {field_nm:.1} nm or foil.thickness_nm, or raise \
+         foil.field_lengths"
+    )]
+    TooDense {
+        /// Length of line over the side of the field.
+        lengths: f64,
+        /// Thickness of the foil.
+        thickness_nm: f64,
+        /// The largest field that would do.
+        field_nm: f64,
+    },
     /// A network that a foil cannot be cut from.
     #[error(transparent)]
     Cut(#[from] super::slab::CutError),

@@ -397,8 +397,8 @@ impl FoilSettings {
         Self {
             field_nm: Range::new(800.0, 4000.0),
             thickness_nm: Range::new(100.0, 400.0),
-            density_per_m2: Range::new(2e12, 3e13),
-            field_lengths: Range::new(1.5, 12.0),
+            density_per_m2: Range::new(5e12, 6e13),
+            field_lengths: Range::new(2.5, 15.0),
             lattices: vec![Lattice::GAN],
             axis_tilt_deg: Some(Range::new(15.0, 90.0)),
             active_planes: Range::new(1.0, 3.0),
@@ -433,8 +433,8 @@ impl FoilSettings {
         Self {
             field_nm: Range::new(1200.0, 4000.0),
             thickness_nm: Range::new(80.0, 300.0),
-            density_per_m2: Range::new(4e12, 5e13),
-            field_lengths: Range::new(5.0, 30.0),
+            density_per_m2: Range::new(1e13, 9e13),
+            field_lengths: Range::new(7.0, 35.0),
             lattices: vec![Lattice::TIAL],
             features: weights(&[
                 (Trailing, 4.0),

@@ -36,13 +36,13 @@ impl Background {
         };
         let mottling = [[0.25, 0.8], [0.06, 0.25]]
             .into_iter()
-            .map(|lengths| (field(rng, lengths), strength * rng.random_range(0.0..0.13)))
+            .map(|lengths| (field(rng, lengths), strength * rng.random_range(0.0..0.13) * rng.random_range(0.0..1.0)))
             .collect();
         let texture_length = log_uniform(rng, [2.0, 12.0]);
         Self {
             gradient: [0, 1].map(|_| strength * rng.random_range(-0.5..0.5) * rng.random_range(0.0..1.0)),
             mottling,
-            texture: (SmoothField::new(rng, extent, texture_length), rng.random_range(0.0..0.035)),
+            texture: (SmoothField::new(rng, extent, texture_length), rng.random_range(0.0..0.03)),
             bend: chance(rng, 0.25 * strength)
                 .then(|| (field(rng, [0.3, 0.9]), rng.random_range(0.08..0.4), strength * rng.random_range(0.1..0.6))),
             fringes: chance(rng, 0.2 * strength).then(|| {

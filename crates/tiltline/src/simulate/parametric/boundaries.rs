@@ -108,6 +108,8 @@ impl Boundary {
             + 3.0 * width
             + self.rim.map_or(0.0, |(offset, rim_width, _)| offset.abs() + 3.0 * rim_width)
             + 4.0;
+        let wander = self.roughness.as_ref().map_or(0.0, |(_, amplitude)| 3.0 * amplitude);
+        let sides = [-0.5, 0.5].map(|side| (1.0 + self.step * side).max(0.02) as f32);
         let columns = image.ncols();
         let pixels = image.as_slice_mut().expect("images made here are in standard layout");
         pixels.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {
@@ -115,7 +117,9 @@ impl Boundary {
                 let (x, y) = (column as f64, row as f64);
                 let (foil_x, foil_y) = (m00 * x + m01 * y + b0, m10 * x + m11 * y + b1);
                 let mut q = self.normal.x * foil_x + self.normal.y * foil_y - self.offset_px;
-                if self.step == 0.0 && q.abs() > reach {
+                if q.abs() > reach + wander {
+                    // Far from the boundary only the grey of its side is left.
+                    *value *= sides[usize::from(q > 0.0)];
                     continue;
                 }
                 if let Some((field, amplitude)) = &self.roughness {

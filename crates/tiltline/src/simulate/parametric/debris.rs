@@ -39,13 +39,13 @@ impl Debris {
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
         let direction = Vector3::new(angle.cos(), angle.sin(), 0.0);
         let kind = match rng.random_range(0.0..1.0) {
-            u if u < 0.6 => {
+            u if u < 0.68 => {
                 let radius_px = log_uniform(rng, [1.2, 16.0]);
                 let outline = SmoothField::new(rng, 6.0 * radius_px, (0.7 * radius_px).max(1.5));
                 Kind::Blob { radius_px, contrast, outline, roughness: rng.random_range(0.0..0.7) }
             }
-            u if u < 0.78 => Kind::BlackWhite { radius_px: log_uniform(rng, [1.2, 7.0]), contrast, across: direction },
-            u if u < 0.86 => Kind::Scratch {
+            u if u < 0.86 => Kind::BlackWhite { radius_px: log_uniform(rng, [1.2, 7.0]), contrast, across: direction },
+            u if u < 0.96 => Kind::Scratch {
                 along: direction * rng.random_range(3.0..10.0),
                 sigma_px: rng.random_range(0.8..2.0),
                 contrast,
