@@ -291,4 +291,35 @@ mod tests {
             assert!((deviation / recording.noise - 1.0).abs() < 0.12, "{deviation} {}", recording.noise);
         }
     }
+
+    #[test]
+    fn views_of_one_foil_share_the_kind_of_noise_and_differ_in_gain() {
+        let mut rng = Pcg64::seed_from_u64(4);
+        for _ in 0..20 {
+            let views = Acquisition::of_views(&mut rng, &AcquisitionSettings::default(), 3);
+            assert_eq!(views.len(), 3);
+            for view in &views[1..] {
+                let first = &views[0];
+                assert_eq!((view.grain_px, view.coarse, view.streaks), (first.grain_px, first.coarse, first.streaks));
+                assert!(
+                    (view.dose / first.dose).ln().abs() <= 0.25 && view.gain != first.gain && view.seed != first.seed
+                );
+            }
+        }
+    }
+
+    /// A border is where nothing is recorded, one level, and invalid; a wedge is wider at one end.
+    #[test]
+    fn a_slanted_border_is_wider_at_one_end_and_holds_nothing_of_the_foil() {
+        let mut rng = Pcg64::seed_from_u64(1);
+        let border = Border { side: 1, width_px: 20.0, slope: 0.1, level: 0.0 };
+        let mut acquisition = Acquisition::random(&mut rng, &AcquisitionSettings::default());
+        acquisition.border = Some(border);
+        let recording = acquisition.record(&Array2::ones([100, 120]));
+        let width = |row: usize| (0..120).filter(|column| !recording.valid[[row, *column]]).count();
+        assert_eq!((width(0), width(50), width(99)), (15, 20, 25));
+        for (value, valid) in recording.image.iter().zip(&recording.valid) {
+            assert!(*valid || *value == 0.0);
+        }
+    }
 }

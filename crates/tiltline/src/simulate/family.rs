@@ -6,7 +6,7 @@
 use super::acquisition::AcquisitionSettings;
 use super::alignment::AlignmentSettings;
 use super::conditions::ConditionSettings;
-use super::geometry::FoilSettings;
+use super::geometry::{FoilSettings, Range};
 use super::parametric::LookSettings;
 use super::settings::{Family, Mode, SimulateSettings};
 
@@ -52,8 +52,8 @@ fn gan_conditions() -> ConditionSettings {
 /// Little noise.
 fn gan_acquisition() -> AcquisitionSettings {
     AcquisitionSettings {
-        dose: [2000.0, 60_000.0],
-        read_noise: [0.002, 0.012],
+        dose: [5000.0, 150_000.0],
+        read_noise: [0.001, 0.008],
         correlated: 0.6,
         ..AcquisitionSettings::default()
     }
@@ -64,6 +64,7 @@ fn tial_look() -> LookSettings {
     LookSettings {
         line_width_px: [1.7, 8.0],
         line_contrast: [0.1, 0.7],
+        background: 0.8,
         boundary_families: 0.8,
         bright: 0.08,
         ..LookSettings::default()
@@ -71,16 +72,21 @@ fn tial_look() -> LookSettings {
 }
 
 fn tial_conditions() -> ConditionSettings {
-    ConditionSettings { stem: 0.3, ..ConditionSettings::default() }
+    ConditionSettings {
+        stem: 0.3,
+        deviation: Range::new(-0.2, 1.0),
+        bend_per_um: Range::new(0.0, 0.003),
+        ..ConditionSettings::default()
+    }
 }
 
 fn tial_acquisition() -> AcquisitionSettings {
-    AcquisitionSettings { dose: [150.0, 6000.0], correlated: 0.35, ..AcquisitionSettings::default() }
+    AcquisitionSettings { dose: [80.0, 2500.0], correlated: 0.35, ..AcquisitionSettings::default() }
 }
 
 /// Weak lines in noise.
 fn cantor_look() -> LookSettings {
-    LookSettings { line_contrast: [0.12, 0.6], bright: 0.1, background: 0.8, ..LookSettings::default() }
+    LookSettings { line_contrast: [0.1, 0.5], bright: 0.1, background: 0.8, ..LookSettings::default() }
 }
 
 fn cantor_conditions() -> ConditionSettings {
@@ -89,8 +95,8 @@ fn cantor_conditions() -> ConditionSettings {
 
 fn cantor_acquisition() -> AcquisitionSettings {
     AcquisitionSettings {
-        dose: [120.0, 2400.0],
-        read_noise: [0.006, 0.035],
+        dose: [50.0, 900.0],
+        read_noise: [0.01, 0.06],
         correlated: 0.2,
         ..AcquisitionSettings::default()
     }

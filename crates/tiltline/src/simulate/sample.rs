@@ -17,7 +17,7 @@ use super::parametric::{LookSettings, Specimen};
 use super::physics;
 use super::settings::{Mode, SimulateError, SimulateSettings};
 use super::slab::{Cut, foil_from_network};
-use super::{Camera, Foil};
+use super::{Camera, Dislocation, Foil};
 use crate::geometry::{Point2, Point3, Vector3};
 use crate::truth::{ProjectedCurve, TrueView, Truth, ViewGeometry, ViewMap};
 
@@ -25,6 +25,8 @@ use crate::truth::{ProjectedCurve, TrueView, Truth, ViewGeometry, ViewMap};
 const NOMINAL_SIDE_PX: f64 = 512.0;
 /// A field is at most this many times the box of a network.
 const MOST_BOXES: f64 = 3.0;
+/// Below this g.b, and g.(b x u) / 8, a line shows no contrast of its own.
+const LEAST_STRENGTH: f64 = 0.08;
 /// Lines of a network may be this many times as long as those of a random foil at most; more cannot be told apart.
 const CROWDED: f64 = 4.0;
 /// Greatest distance of neighbouring points of the truth, px.
@@ -215,8 +217,12 @@ fn diffracted(
             let gain = picture.background.len() as f64 / mean.max(1e-9);
             let mut image = others.view(&in_px_camera(camera, pixel_size_nm), index).image;
             image.zip_mut_with(&picture.intensity, |value, intensity| *value *= (f64::from(*intensity) * gain) as f32);
-            let curves = picture.truth.lines.iter().map(diffracted_curve).collect();
-            Ok(Seen { image, curves })
+            let curves = picture.truth.lines.iter().zip(&body.foil.dislocations).map(|(line, dislocation)| {
+                let mut curve = diffracted_curve(line);
+                hide_invisible(&mut curve, dislocation, &conditions.g_per_nm);
+                curve
+            });
+            Ok(Seen { image, curves: curves.collect() })
         })
         .collect()
 }
@@ -241,6 +247,21 @@ fn diffracted_curve(line: &physics::LineTruth) -> SeenCurve {
     SeenCurve { centre, contrast: line.points.iter().map(|point| contrast(point) as f32).collect(), core }
 }
 
+/// Takes the contrast of other lines from stretches that have none of their own: with g.b = 0 a line is seen only where
+/// g.(b x u) / 8 reaches 0.08 (Hirsch et al. 1965, section 7.5).
+fn hide_invisible(curve: &mut SeenCurve, line: &Dislocation, g_per_nm: &Vector3) {
+    let Some(burgers) = line.burgers_nm else { return };
+    let last = line.points.len().saturating_sub(1);
+    for (index, contrast) in curve.contrast.iter_mut().enumerate() {
+        let along = line.points[(index + 1).min(last)] - line.points[index.saturating_sub(1)];
+        let direction = along.try_normalize(1e-9).unwrap_or_else(Vector3::z);
+        let residual = g_per_nm.dot(&burgers.cross(&direction)) / 8.0;
+        if g_per_nm.dot(&burgers).abs().max(residual.abs()) < LEAST_STRENGTH {
+            *contrast = 0.0;
+        }
+    }
+}
+
 fn specimen(
     settings: &SimulateSettings,
     body: &Body,
@@ -256,7 +277,7 @@ fn specimen(
 }
 
 /// The points of a line in px of the first view; those of closed lines come back to the first.
-fn in_px(line: &super::Dislocation, pixel_size_nm: f64) -> Vec<Point3> {
+fn in_px(line: &Dislocation, pixel_size_nm: f64) -> Vec<Point3> {
     let closing = line.points.first().filter(|_| line.closed);
     line.points.iter().chain(closing).map(|point| point / pixel_size_nm).collect()
 }
@@ -389,6 +410,29 @@ mod tests {
         assert_eq!(sample(&tilted, Lines::Random, 7).unwrap().foil, one);
         assert_eq!(sample(&small(Family::Cantor, Mode::Physics), Lines::Random, 7).unwrap().foil, one);
         assert_ne!(sample(&drawn, Lines::Random, 8).unwrap().foil, one);
+    }
+
+    /// A line with g.b = 0 beside one that is seen must not be called visible for its neighbour's contrast.
+    #[test]
+    fn a_line_without_contrast_of_its_own_is_not_visible_beside_one_with() {
+        let line = |burgers| Dislocation {
+            points: (0..5).map(|i| Point3::new(0.0, f64::from(i), 0.0)).collect(),
+            closed: false,
+            burgers_nm: Some(burgers),
+            plane_normal: None,
+        };
+        let g = Vector3::new(4.0, 0.0, 0.0);
+        let seen = |burgers| {
+            let points = vec![Point2::origin(); 5];
+            let mut curve = SeenCurve { core: points.clone(), centre: points, contrast: vec![0.5; 5] };
+            hide_invisible(&mut curve, &line(burgers), &g);
+            curve.contrast[2] > 0.0
+        };
+        assert!(seen(Vector3::new(0.25, 0.0, 0.0)));
+        // A screw along y: g.b = 0 and b x u = 0.
+        assert!(!seen(Vector3::new(0.0, 0.25, 0.0)));
+        // An edge with b along z: g.b = 0, g.(b x u) / 8 = -0.125.
+        assert!(seen(Vector3::new(0.0, 0.0, 0.25)));
     }
 
     /// A short straight line in a large empty box is in view, wherever the foil is cut.
