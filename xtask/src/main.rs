@@ -1,6 +1,7 @@
-//! The project's own chores: `cargo xtask ci|test|reference|figures|example`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|figures|example`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod accuracy;
 mod chores;
 mod example;
 mod figures;
@@ -14,6 +15,7 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   ci                    formatting, clippy, docs, tests, and cargo-deny where it is installed
   test                  the tests
   reference [TOPIC...]  comparisons with independent implementations (needs Python)
+  accuracy              scores the program on the fixed sets: docs/accuracy.md
   figures               draws the pictures of docs/simulator.md again
   example               renders the example pair in examples/ again";
 
@@ -23,6 +25,7 @@ fn main() -> Result<()> {
         Some("ci") => chores::ci(),
         Some("test") => chores::test(),
         Some("reference") => reference::run(&arguments[1..]),
+        Some("accuracy") => accuracy::measure(),
         Some("figures") => figures::draw(),
         Some("example") => example::render_pair(),
         _ => Err(miette!("{USAGE}")),

@@ -1,13 +1,15 @@
-//! `cargo bench --bench physics`: one 512x512 physical view (1 nm px) of a 120 nm foil with 15 bowed, threading lines.
-//! A pair costs twice that, a series of 51 views 51 times.
+//! `cargo bench --bench simulate`: whole pairs of 512x512 px with their truth, as `tiltline simulate` makes them (eight foils of each
+//! family and mode in one measurement: divide by eight), and one physical view (1 nm px) of a 120 nm foil with 15 bowed lines.
 #![allow(missing_docs)]
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use rayon::prelude::*;
 use tiltline::geometry::{Point3, Vector3};
+use tiltline::simulate::geometry::{Split, geometry_seed};
 use tiltline::simulate::physics::{Detector, PhysicsSettings, image};
-use tiltline::simulate::{Camera, Dislocation, Foil};
+use tiltline::simulate::{Camera, Dislocation, Family, Foil, Lines, Mode, SimulateSettings, sample};
 
 fn foil() -> Foil {
     let (size, thickness) = (512.0, 120.0);
@@ -44,5 +46,29 @@ fn views(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, views);
+/// Pairs in one measurement: foils differ several times in cost.
+const FOILS: u64 = 8;
+
+fn pairs(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("eight 512x512 pairs");
+    group.sample_size(10);
+    for mode in [Mode::Parametric, Mode::Physics] {
+        for family in [Family::Gan, Family::Tial, Family::Cantor] {
+            let settings = SimulateSettings { mode, ..SimulateSettings::of_family(family) };
+            let make = || {
+                let foils = (0..FOILS).into_par_iter().with_max_len(1);
+                foils
+                    .map(|foil| {
+                        sample(&settings, Lines::Random, geometry_seed(Split::Train, foil))
+                            .map(|s| s.truth.curves.len())
+                    })
+                    .collect::<Vec<_>>()
+            };
+            group.bench_function(format!("{} {}", family.word(), mode.word()), |bencher| bencher.iter(make));
+        }
+    }
+    group.finish();
+}
+
+criterion_group!(benches, pairs, views);
 criterion_main!(benches);
