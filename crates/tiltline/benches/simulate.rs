@@ -47,7 +47,7 @@ fn views(criterion: &mut Criterion) {
 }
 
 /// Pairs in one measurement: foils differ several times in cost.
-const FOILS: u64 = 8;
+const FOILS: u32 = 8;
 
 fn pairs(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("eight 512x512 pairs");
@@ -59,7 +59,7 @@ fn pairs(criterion: &mut Criterion) {
                 let foils = (0..FOILS).into_par_iter().with_max_len(1);
                 foils
                     .map(|foil| {
-                        sample(&settings, Lines::Random, geometry_seed(Split::Train, foil))
+                        sample(&settings, Lines::Random, geometry_seed(Split::Train, u64::from(foil)))
                             .map(|s| s.truth.curves.len())
                     })
                     .collect::<Vec<_>>()
