@@ -32,7 +32,7 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     export::check_target(&flags.output, flags.force).into_diagnostic()?;
     let display = Display::new(flags.verbosity);
     let images = [flags.left.as_str(), &flags.right];
-    let summary = reconstruct(images, &mut config, &flags.output, flags.force, &|event| display.show(&event))?;
+    let summary = reconstruct(images, &mut config, &flags.output, flags.force, &|event| display.show(event))?;
     display.clear();
     if flags.json {
         output::print(&(serde_json::to_string_pretty(&summary).into_diagnostic()? + "\n"))

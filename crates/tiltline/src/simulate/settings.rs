@@ -177,7 +177,8 @@ impl SimulateSettings {
             return value("tilts_deg", format!("a list of {}", self.tilts_deg.len()), "2 to 1000 tilts");
         }
         for tilt in &self.tilts_deg {
-            if !(tilt.abs() <= STEEPEST_DEG) {
+            // A NaN is in no range.
+            if !(-STEEPEST_DEG..=STEEPEST_DEG).contains(tilt) {
                 return value("tilts_deg", tilt.to_string(), &format!("angles from -{STEEPEST_DEG} to {STEEPEST_DEG}"));
             }
         }
