@@ -1,0 +1,97 @@
+//! Eight floats with AVX2 and FMA.
+
+use super::Lanes;
+use std::arch::x86_64::*;
+
+#[derive(Clone, Copy)]
+pub(crate) struct Avx2(());
+
+impl Avx2 {
+    /// Only callable where the instructions are known to be there.
+    #[target_feature(enable = "avx2,fma")]
+    #[inline]
+    pub(crate) fn new() -> Self {
+        Self(())
+    }
+}
+
+/// `MASKS[8 - n..]` starts with `n` set lanes; `MASKS[16 - n..]` with `n` clear ones (as far as 8 lanes go).
+static MASKS: [i32; 24] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0, -1, -1, -1, -1, -1, -1, -1, -1];
+
+// In the blocks below "the token" is `self`: an `Avx2` can only be made where AVX2 and FMA are present.
+impl Lanes for Avx2 {
+    const COUNT: usize = 8;
+    const TILE: usize = 4;
+    type Vector = __m256;
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> __m256 {
+        // SAFETY: the token proves that the instruction exists.
+        unsafe { _mm256_set1_ps(value) }
+    }
+
+    #[inline(always)]
+    fn add(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves that the instruction exists.
+        unsafe { _mm256_add_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn sub(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves that the instruction exists.
+        unsafe { _mm256_sub_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn mul_add(self, a: __m256, b: __m256, c: __m256) -> __m256 {
+        // SAFETY: the token proves that the instruction exists.
+        unsafe { _mm256_fmadd_ps(a, b, c) }
+    }
+
+    #[inline(always)]
+    fn relu(self, a: __m256) -> __m256 {
+        // The second operand is returned where either is NaN.
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm256_max_ps(_mm256_setzero_ps(), a) }
+    }
+
+    #[inline(always)]
+    fn keep_where_positive(self, condition: __m256, value: __m256) -> __m256 {
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(condition, _mm256_setzero_ps()), value) }
+    }
+
+    #[inline(always)]
+    fn sum(self, a: __m256) -> f32 {
+        // SAFETY: the token proves that the instructions exist.
+        unsafe {
+            let four = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
+            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn load(self, from: *const f32) -> __m256 {
+        // SAFETY: the caller promises eight readable floats; the token proves that the instruction exists.
+        unsafe { _mm256_loadu_ps(from) }
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32, vector: __m256) {
+        // SAFETY: the caller promises eight writable floats; the token proves that the instruction exists.
+        unsafe { _mm256_storeu_ps(to, vector) }
+    }
+
+    #[inline(always)]
+    unsafe fn store_lanes(self, to: *mut f32, vector: __m256, first: usize, end: usize) {
+        debug_assert!(first < end && end <= 8);
+        // SAFETY: `first <= 8` and `end <= 8`, so both loads stay inside `MASKS`; only lanes `first..end` are set in the mask,
+        // and the caller promises that these are writable; the token proves that the instructions exist.
+        unsafe {
+            let below_end = _mm256_loadu_si256(MASKS.as_ptr().add(8 - end).cast());
+            let from_first = _mm256_loadu_si256(MASKS.as_ptr().add(16 - first).cast());
+            _mm256_maskstore_ps(to, _mm256_and_si256(below_end, from_first), vector);
+        }
+    }
+}
