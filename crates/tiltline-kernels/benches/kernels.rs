@@ -1,4 +1,4 @@
-//! `cargo bench -p tiltline-kernels [-- FILTER]`: the convolutions of the matcher and of a 16-channel U-Net on 512x512.
+//! `cargo bench -p tiltline-kernels --bench kernels [-- FILTER]`: the convolutions of the matcher and of a 16-channel U-Net on 512x512.
 //!
 //! criterion prints the throughput in operations (multiply and add counted as two): Gelem/s are GFLOP/s.
 #![allow(missing_docs)]
