@@ -139,7 +139,7 @@ impl Kernel for BlockKernel<'_> {
         let mut offsets: Vec<usize> = Vec::new();
         for z in self.depths.clone() {
             let continues = z > self.depths.start;
-            self.layout.gather_depth(self.block, self.source, self.corner, 0..self.source.channels, z, continues);
+            self.layout.gather_depth(lanes, self.block, self.source, self.corner, 0..self.source.channels, z, continues);
             for (group, sets) in correlation.sets.chunks_exact(phases).enumerate() {
                 let [phase_z, phase_y, _] = sets[0].target_phase;
                 let target_z = correlation.target_stride[0] * z + phase_z;
@@ -185,7 +185,7 @@ impl Kernel for BlockKernel<'_> {
                         unsafe { sweep(lanes, width, input, output) };
                     }
                     if interleaved {
-                        self.interleave(first_channel, channels, target_z, phase_y, stage_len);
+                        self.interleave(lanes, first_channel, channels, target_z, phase_y, stage_len);
                     }
                 }
             }
@@ -219,7 +219,7 @@ impl BlockKernel<'_> {
 
     /// Writes the two staged phases as even and odd columns of the target's rows of phase `phase_y`.
     #[inline(always)]
-    fn interleave(&self, first_channel: usize, channels: usize, z: usize, phase_y: usize, stage_len: usize) {
+    fn interleave<L: Lanes>(&self, lanes: L, first_channel: usize, channels: usize, z: usize, phase_y: usize, stage_len: usize) {
         let [_, height, width] = self.correlation.target;
         let (even, odd) = self.stage.split_at(self.full_tile * stage_len);
         let column = 2 * self.corner.column;
@@ -234,12 +234,19 @@ impl BlockKernel<'_> {
                 let from = channel * stage_len + row * self.layout.pitch;
                 let (even, odd) = (&even[from..from + self.layout.columns], &odd[from..from + self.layout.columns]);
                 let to = self.output.part(self.target_row(first_channel + channel, z, y) + column, written);
-                // SAFETY: `written` elements from `to` on lie in one row of the target, and are this task's own; pairs of two
-                // fit, and the single last one where `written` is odd.
+                // SAFETY: `written` elements from `to` on lie in one row of the target, and are this task's own: whole vectors
+                // as long as they fit, then pairs, then the single last one where `written` is odd. The
+                // halves of the stage were sliced to as many elements as there are pairs, or one more.
                 unsafe {
-                    let pairs = to.cast::<[f32; 2]>();
-                    for i in 0..written / 2 {
-                        pairs.add(i).write([even[i], odd[i]]);
+                    let mut i = 0;
+                    while 2 * (i + L::COUNT) <= written {
+                        let (even, odd) = (lanes.load(even.as_ptr().add(i)), lanes.load(odd.as_ptr().add(i)));
+                        lanes.store_interleaved(to.add(2 * i), even, odd);
+                        i += L::COUNT;
+                    }
+                    for i in i..written / 2 {
+                        to.add(2 * i).write(even[i]);
+                        to.add(2 * i + 1).write(odd[i]);
                     }
                     if written % 2 == 1 {
                         to.add(written - 1).write(even[written / 2]);

@@ -5,7 +5,7 @@
 //! into planes of their own. Along the depth a few planes are kept in a ring, so that a step in depth copies only one.
 
 use crate::coupling::{Correlation, Tap, volume};
-use crate::lanes::MAX_COUNT;
+use crate::lanes::{Lanes, MAX_COUNT};
 use std::ops::Range;
 
 /// Where things lie in the buffer.
@@ -83,8 +83,9 @@ pub(crate) struct Corner {
 impl Layout {
     /// Gathers what depth `z` needs. If `continues`, the buffer holds what `z - 1` needed, and only what is new is copied.
     #[inline(always)]
-    pub(crate) fn gather_depth(
+    pub(crate) fn gather_depth<L: Lanes>(
         &self,
+        lanes: L,
         buffer: &mut [f32],
         source: Source,
         corner: Corner,
@@ -94,12 +95,12 @@ impl Layout {
     ) {
         let first = if continues { self.slots - 1 } else { 0 };
         for ring in z + first..z + self.slots {
-            self.gather_plane(buffer, source, corner, channels.clone(), ring);
+            self.gather_plane(lanes, buffer, source, corner, channels.clone(), ring);
         }
     }
 
     #[inline(always)]
-    fn gather_plane(&self, buffer: &mut [f32], source: Source, corner: Corner, channels: Range<usize>, ring: usize) {
+    fn gather_plane<L: Lanes>(&self, lanes: L, buffer: &mut [f32], source: Source, corner: Corner, channels: Range<usize>, ring: usize) {
         let [depth, height, width] = source.size;
         let start = channels.start;
         for channel in channels {
@@ -118,13 +119,13 @@ impl Layout {
                     continue;
                 }
                 let from = &from[z as usize * height * width..][..height * width];
-                self.gather_rows(plane, from, [height, width], corner, phase);
+                self.gather_rows(lanes, plane, from, [height, width], corner, phase);
             }
         }
     }
 
     #[inline(always)]
-    fn gather_rows(&self, plane: &mut [f32], from: &[f32], [height, width]: [usize; 2], corner: Corner, phase: [usize; 3]) {
+    fn gather_rows<L: Lanes>(&self, lanes: L, plane: &mut [f32], from: &[f32], [height, width]: [usize; 2], corner: Corner, phase: [usize; 3]) {
         let (rows, slack) = plane.split_at_mut(self.plane_rows * self.pitch);
         slack.fill(0.0);
         if self.pitch == width && self.plane_rows == self.rows && self.stride == [1; 3] {
@@ -152,12 +153,15 @@ impl Layout {
             if stride == 1 {
                 row.copy_from_slice(&from[..row.len()]);
             } else {
-                // All but the last have a neighbour to the right: pairs, which the compiler turns into shuffles.
-                let last = row.len() - 1;
-                for (to, pair) in row[..last].iter_mut().zip(from.chunks_exact(2)) {
-                    *to = pair[0];
+                let mut i = 0;
+                while i + L::COUNT <= row.len() && 2 * (i + L::COUNT) <= from.len() {
+                    // SAFETY: both ranges were just checked.
+                    unsafe { lanes.store(row.as_mut_ptr().add(i), lanes.load_even(from.as_ptr().add(2 * i))) };
+                    i += L::COUNT;
                 }
-                row[last] = from[2 * last];
+                for i in i..row.len() {
+                    row[i] = from[2 * i];
+                }
             }
         }
     }

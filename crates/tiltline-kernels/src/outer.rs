@@ -123,7 +123,7 @@ impl Kernel for OuterKernel<'_> {
                 let layout = Layout::new(correlation, rows, width);
                 let continues = previous == Some(place);
                 previous = Some(place);
-                layout.gather_depth(self.block, self.fine, corner, channels.clone(), z, continues);
+                layout.gather_depth(lanes, self.block, self.fine, corner, channels.clone(), z, continues);
                 let stage_len = layout.positions().next_multiple_of(MAX_COUNT);
                 for (tile, &(first, channels, width)) in self.tiles.iter().enumerate() {
                     let stage = &mut self.stage[tile * L::TILE * stage_len..][..width * stage_len];

@@ -94,4 +94,44 @@ impl Lanes for Avx2 {
             _mm256_maskstore_ps(to, _mm256_and_si256(below_end, from_first), vector);
         }
     }
+
+    #[inline(always)]
+    unsafe fn load_even(self, from: *const f32) -> __m256 {
+        // SAFETY: the caller promises sixteen readable floats; the token proves that the instructions exist.
+        unsafe {
+            let (low, high) = (_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(8)));
+            // Pairs in the order low, high, low, high.
+            let even = _mm256_shuffle_ps::<0b10_00_10_00>(low, high);
+            _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(_mm256_castps_pd(even)))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn store_interleaved(self, to: *mut f32, even: __m256, odd: __m256) {
+        // SAFETY: the caller promises sixteen writable floats; the token proves that the instructions exist.
+        unsafe {
+            // Within each half of the registers.
+            let (low, high) = (_mm256_unpacklo_ps(even, odd), _mm256_unpackhi_ps(even, odd));
+            _mm256_storeu_ps(to, _mm256_permute2f128_ps::<0x20>(low, high));
+            _mm256_storeu_ps(to.add(8), _mm256_permute2f128_ps::<0x31>(low, high));
+        }
+    }
+
+    #[inline(always)]
+    fn sums<const N: usize>(self, vectors: [__m256; N]) -> [f32; N] {
+        let mut sums = [0.0; N];
+        let (fours, _) = vectors.as_chunks::<4>();
+        for (sums, &[a, b, c, d]) in sums.chunks_exact_mut(4).zip(fours) {
+            // SAFETY: the token proves that the instructions exist; `sums` has room for four floats.
+            unsafe {
+                let halves = _mm256_hadd_ps(_mm256_hadd_ps(a, b), _mm256_hadd_ps(c, d));
+                let four = _mm_add_ps(_mm256_castps256_ps128(halves), _mm256_extractf128_ps::<1>(halves));
+                _mm_storeu_ps(sums.as_mut_ptr(), four);
+            }
+        }
+        for i in N / 4 * 4..N {
+            sums[i] = self.sum(vectors[i]);
+        }
+        sums
+    }
 }

@@ -84,4 +84,49 @@ impl Lanes for Avx512 {
         // proves that the instruction exists.
         unsafe { _mm512_mask_storeu_ps(to, mask, vector) }
     }
+
+    #[inline(always)]
+    unsafe fn load_even(self, from: *const f32) -> __m512 {
+        // SAFETY: the caller promises 32 readable floats; the token proves that the instructions exist.
+        unsafe {
+            let places = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+            _mm512_permutex2var_ps(_mm512_loadu_ps(from), places, _mm512_loadu_ps(from.add(16)))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn store_interleaved(self, to: *mut f32, even: __m512, odd: __m512) {
+        // SAFETY: the caller promises 32 writable floats; the token proves that the instructions exist.
+        unsafe {
+            let low = _mm512_setr_epi32(0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+            let high = _mm512_setr_epi32(8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+            _mm512_storeu_ps(to, _mm512_permutex2var_ps(even, low, odd));
+            _mm512_storeu_ps(to.add(16), _mm512_permutex2var_ps(even, high, odd));
+        }
+    }
+
+    #[inline(always)]
+    fn sums<const N: usize>(self, vectors: [__m512; N]) -> [f32; N] {
+        let mut sums = [0.0; N];
+        let (fours, _) = vectors.as_chunks::<4>();
+        for (sums, &[a, b, c, d]) in sums.chunks_exact_mut(4).zip(fours) {
+            // SAFETY: the token proves that the instructions exist; `sums` has room for four floats.
+            unsafe {
+                // First the halves of pairs of vectors, so that every later step works on whole registers.
+                let ab = _mm512_add_ps(_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xee>(a, b));
+                let cd = _mm512_add_ps(_mm512_shuffle_f32x4::<0x44>(c, d), _mm512_shuffle_f32x4::<0xee>(c, d));
+                // Quarters in the order a, b, c, d.
+                let abcd = _mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(ab, cd), _mm512_shuffle_f32x4::<0xdd>(ab, cd));
+                // The first lane of each quarter holds its sum after two more steps.
+                let pairs = _mm512_add_ps(abcd, _mm512_permute_ps::<0b10_11_00_01>(abcd));
+                let all = _mm512_add_ps(pairs, _mm512_permute_ps::<0b01_00_11_10>(pairs));
+                let firsts = _mm512_setr_epi32(0, 4, 8, 12, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0);
+                _mm_storeu_ps(sums.as_mut_ptr(), _mm512_castps512_ps128(_mm512_permutexvar_ps(firsts, all)));
+            }
+        }
+        for i in N / 4 * 4..N {
+            sums[i] = self.sum(vectors[i]);
+        }
+        sums
+    }
 }

@@ -47,6 +47,17 @@ pub(crate) trait Lanes: Copy {
     /// `first < end <= COUNT`, and those elements must be valid for writing; the rest of `to` need not exist.
     unsafe fn store_lanes(self, to: *mut f32, vector: Self::Vector, first: usize, end: usize);
 
+    /// `from[0]`, `from[2]`, `from[4]` and so on.
+    ///
+    /// # Safety
+    /// `from` must be valid for reading `2 COUNT` floats.
+    unsafe fn load_even(self, from: *const f32) -> Self::Vector;
+    /// Stores the lanes of both in turns, beginning with the even ones.
+    ///
+    /// # Safety
+    /// `to` must be valid for writing `2 COUNT` floats.
+    unsafe fn store_interleaved(self, to: *mut f32, even: Self::Vector, odd: Self::Vector);
+
     /// The sum of the lanes of each of `N` vectors.
     #[inline(always)]
     fn sums<const N: usize>(self, vectors: [Self::Vector; N]) -> [f32; N] {

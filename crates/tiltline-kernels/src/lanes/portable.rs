@@ -91,4 +91,19 @@ impl Lanes for Portable {
             unsafe { to.wrapping_add(lane).write(vector.0[lane]) };
         }
     }
+
+    #[inline(always)]
+    unsafe fn load_even(self, from: *const f32) -> Four {
+        // SAFETY: the caller promises eight readable floats.
+        let [a, _, b, _, c, _, d, _] = unsafe { from.cast::<[f32; 8]>().read() };
+        Four([a, b, c, d])
+    }
+
+    #[inline(always)]
+    unsafe fn store_interleaved(self, to: *mut f32, even: Four, odd: Four) {
+        let (Four(even), Four(odd)) = (even, odd);
+        let all = [even[0], odd[0], even[1], odd[1], even[2], odd[2], even[3], odd[3]];
+        // SAFETY: the caller promises eight writable floats.
+        unsafe { to.cast::<[f32; 8]>().write(all) }
+    }
 }
