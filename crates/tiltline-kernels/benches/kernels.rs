@@ -20,7 +20,8 @@ fn noise(len: usize) -> Vec<f32> {
 /// Benchmarks forward pass and both gradients of either kind of convolution.
 macro_rules! bench {
     ($group:expr, $path:expr, $name:expr, $shape:expr, $operations:expr) => {{
-        let (group, path, name, shape): (&mut BenchmarkGroup<WallTime>, Path, String, _) = ($group, $path, $name, $shape);
+        let (group, path, name, shape): (&mut BenchmarkGroup<WallTime>, Path, String, _) =
+            ($group, $path, $name, $shape);
         let (x, w, gy) = (noise(shape.input_len()), noise(shape.weight_len()), noise(shape.output_len()));
         group.throughput(Throughput::Elements($operations as u64));
         group.bench_function(format!("{name} forward"), |bencher| {
@@ -40,17 +41,36 @@ fn matcher(criterion: &mut Criterion) -> Result<(), ShapeError> {
     let mut group = criterion.benchmark_group("24x128x128");
     group.sample_size(10);
     let size = [24, 128, 128];
-    let pairs = |channels: usize, size: [usize; 3], kernel: usize| 2 * channels * size.iter().product::<usize>() * kernel;
+    let pairs =
+        |channels: usize, size: [usize; 3], kernel: usize| 2 * channels * size.iter().product::<usize>() * kernel;
     for path in Instructions::ALL.into_iter().filter_map(Path::forced) {
         let name = format!("3x3x3 32->32 on {}", path.instructions());
         bench!(&mut group, path, name, Conv::volume(1, 32, 32, size, 1)?, pairs(32 * 32, size, 27));
     }
     let path = Path::best();
     let half = size.map(|side| side / 2);
-    bench!(&mut group, path, "3x3x3 32->64 stride 2".into(), Conv::volume(1, 32, 64, size, 2)?, pairs(32 * 64, half, 27));
-    bench!(&mut group, path, "3x3x3 transposed 64->32".into(), TransposedConv::volume(1, 64, 32, half)?, pairs(32 * 64, half, 27));
+    bench!(
+        &mut group,
+        path,
+        "3x3x3 32->64 stride 2".into(),
+        Conv::volume(1, 32, 64, size, 2)?,
+        pairs(32 * 64, half, 27)
+    );
+    bench!(
+        &mut group,
+        path,
+        "3x3x3 transposed 64->32".into(),
+        TransposedConv::volume(1, 64, 32, half)?,
+        pairs(32 * 64, half, 27)
+    );
     bench!(&mut group, path, "3x3x3 32->1".into(), Conv::volume(1, 32, 1, size, 1)?, pairs(32, size, 27));
-    bench!(&mut group, path, "1x1x1 32->32".into(), Conv::pointwise(1, 32, 32, 24 * 128 * 128)?, pairs(32 * 32, size, 1));
+    bench!(
+        &mut group,
+        path,
+        "1x1x1 32->32".into(),
+        Conv::pointwise(1, 32, 32, 24 * 128 * 128)?,
+        pairs(32 * 32, size, 1)
+    );
     group.finish();
     Ok(())
 }
@@ -71,7 +91,13 @@ fn unet(criterion: &mut Criterion) -> Result<(), ShapeError> {
         (32, 256, 256),
     ] {
         let name = format!("3x3 {inputs}->{outputs} on {side}");
-        bench!(&mut group, path, name, Conv::plane(1, inputs, outputs, [side; 2], 1)?, 18 * inputs * outputs * side * side);
+        bench!(
+            &mut group,
+            path,
+            name,
+            Conv::plane(1, inputs, outputs, [side; 2], 1)?,
+            18 * inputs * outputs * side * side
+        );
     }
     let name = "2x2 transposed 32->16 on 256".to_owned();
     bench!(&mut group, path, name, TransposedConv::plane(1, 32, 16, [256; 2])?, 8 * 32 * 16 * 256 * 256);

@@ -91,16 +91,18 @@ fn pack(correlation: &Correlation, tiles: &[(usize, usize, usize)], full: usize,
             if set.taps.is_empty() {
                 return packed;
             }
-            packed.par_chunks_mut(full * sources * set.taps.len()).zip(tiles).for_each(|(packed, &(first, channels, width))| {
-                let mut columns = packed.chunks_exact_mut(width);
-                for source in 0..sources {
-                    for (tap, column) in set.taps.iter().zip(&mut columns) {
-                        for (o, weight) in column[..channels].iter_mut().enumerate() {
-                            *weight = weights[correlation.weight_index(first + o, source, tap.weight)];
+            packed.par_chunks_mut(full * sources * set.taps.len()).zip(tiles).for_each(
+                |(packed, &(first, channels, width))| {
+                    let mut columns = packed.chunks_exact_mut(width);
+                    for source in 0..sources {
+                        for (tap, column) in set.taps.iter().zip(&mut columns) {
+                            for (o, weight) in column[..channels].iter_mut().enumerate() {
+                                *weight = weights[correlation.weight_index(first + o, source, tap.weight)];
+                            }
                         }
                     }
-                }
-            });
+                },
+            );
             packed
         })
         .collect()
@@ -139,7 +141,15 @@ impl Kernel for BlockKernel<'_> {
         let mut offsets: Vec<usize> = Vec::new();
         for z in self.depths.clone() {
             let continues = z > self.depths.start;
-            self.layout.gather_depth(lanes, self.block, self.source, self.corner, 0..self.source.channels, z, continues);
+            self.layout.gather_depth(
+                lanes,
+                self.block,
+                self.source,
+                self.corner,
+                0..self.source.channels,
+                z,
+                continues,
+            );
             for (group, sets) in correlation.sets.chunks_exact(phases).enumerate() {
                 let [phase_z, phase_y, _] = sets[0].target_phase;
                 let target_z = correlation.target_stride[0] * z + phase_z;
@@ -212,14 +222,30 @@ impl BlockKernel<'_> {
         let positions = self.layout.positions();
         if pitch == width {
             // No halo: the block is one run of memory.
-            return TileOutput { to, channel_stride, channels, positions, pitch: positions, columns: positions, row_stride: 0 };
+            return TileOutput {
+                to,
+                channel_stride,
+                channels,
+                positions,
+                pitch: positions,
+                columns: positions,
+                row_stride: 0,
+            };
         }
         TileOutput { to, channel_stride, channels, positions, pitch, columns, row_stride: width }
     }
 
     /// Writes the two staged phases as even and odd columns of the target's rows of phase `phase_y`.
     #[inline(always)]
-    fn interleave<L: Lanes>(&self, lanes: L, first_channel: usize, channels: usize, z: usize, phase_y: usize, stage_len: usize) {
+    fn interleave<L: Lanes>(
+        &self,
+        lanes: L,
+        first_channel: usize,
+        channels: usize,
+        z: usize,
+        phase_y: usize,
+        stage_len: usize,
+    ) {
         let [_, height, width] = self.correlation.target;
         let (even, odd) = self.stage.split_at(self.full_tile * stage_len);
         let column = 2 * self.corner.column;

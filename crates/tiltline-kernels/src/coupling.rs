@@ -188,7 +188,9 @@ mod tests {
     /// The places that a coupling joins are exactly those of the definition, in both directions.
     #[test]
     fn directions_join_the_same_places() {
-        for (kernel, stride, padding, fine) in [(3, 1, 1, 5), (3, 2, 1, 5), (3, 2, 1, 6), (2, 2, 0, 6), (1, 1, 0, 4), (3, 2, 1, 1)] {
+        for (kernel, stride, padding, fine) in
+            [(3, 1, 1, 5), (3, 2, 1, 5), (3, 2, 1, 6), (2, 2, 0, 6), (1, 1, 0, 4), (3, 2, 1, 1)]
+        {
             let coarse: usize = (fine + 2 * padding - kernel) / stride + 1;
             let coupling = Coupling {
                 batch: 1,
@@ -212,11 +214,16 @@ mod tests {
                 for set in &correlation.sets {
                     for (j, tap) in (0..correlation.grid[2]).flat_map(|j| set.taps.iter().map(move |tap| (j, tap))) {
                         let target = correlation.target_stride[2] * j + set.target_phase[2];
-                        let source = correlation.source_stride[2] as isize * (j as isize + tap.shift[2]) + tap.phase[2] as isize;
+                        let source =
+                            correlation.source_stride[2] as isize * (j as isize + tap.shift[2]) + tap.phase[2] as isize;
                         let inside = source >= 0 && (source as usize) < correlation.source[2];
                         if target < correlation.target[2] && inside {
                             let source = source as usize;
-                            found.push(if upward { (target, source, tap.weight) } else { (source, target, tap.weight) });
+                            found.push(if upward {
+                                (target, source, tap.weight)
+                            } else {
+                                (source, target, tap.weight)
+                            });
                         }
                     }
                 }

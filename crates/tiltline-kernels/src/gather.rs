@@ -100,11 +100,20 @@ impl Layout {
     }
 
     #[inline(always)]
-    fn gather_plane<L: Lanes>(&self, lanes: L, buffer: &mut [f32], source: Source, corner: Corner, channels: Range<usize>, ring: usize) {
+    fn gather_plane<L: Lanes>(
+        &self,
+        lanes: L,
+        buffer: &mut [f32],
+        source: Source,
+        corner: Corner,
+        channels: Range<usize>,
+        ring: usize,
+    ) {
         let [depth, height, width] = source.size;
         let start = channels.start;
         for channel in channels {
-            let from = &source.values[(corner.batch * source.channels + channel) * volume(source.size)..][..volume(source.size)];
+            let from = &source.values[(corner.batch * source.channels + channel) * volume(source.size)..]
+                [..volume(source.size)];
             let to = &mut buffer[(channel - start) * self.channel_len..][..self.channel_len];
             for phase in 0..volume(self.stride) {
                 let phase = [
@@ -125,7 +134,15 @@ impl Layout {
     }
 
     #[inline(always)]
-    fn gather_rows<L: Lanes>(&self, lanes: L, plane: &mut [f32], from: &[f32], [height, width]: [usize; 2], corner: Corner, phase: [usize; 3]) {
+    fn gather_rows<L: Lanes>(
+        &self,
+        lanes: L,
+        plane: &mut [f32],
+        from: &[f32],
+        [height, width]: [usize; 2],
+        corner: Corner,
+        phase: [usize; 3],
+    ) {
         let (rows, slack) = plane.split_at_mut(self.plane_rows * self.pitch);
         slack.fill(0.0);
         if self.pitch == width && self.plane_rows == self.rows && self.stride == [1; 3] {
@@ -185,7 +202,8 @@ impl Blocking {
         let [_, height, width] = correlation.grid;
         let planes = (correlation.halo[0] + 1) * volume(correlation.source_stride);
         let per_plane = (floats / (channels * planes)).min(max_positions);
-        let rows_of = |columns: usize| (per_plane / (columns + correlation.halo[2])).saturating_sub(correlation.halo[1]);
+        let rows_of =
+            |columns: usize| (per_plane / (columns + correlation.halo[2])).saturating_sub(correlation.halo[1]);
         // Narrower blocks where whole rows would leave so few of them that the halo costs more than the work.
         let mut column_blocks = 1;
         while rows_of(width.div_ceil(column_blocks)) < 6.min(height) && width / (column_blocks + 1) >= 96 {

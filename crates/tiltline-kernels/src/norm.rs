@@ -74,7 +74,14 @@ impl BatchNorm {
     ///
     /// If a slice has not the length that the shape asks for.
     #[must_use]
-    pub fn forward(&self, path: Path, input: &[f32], gamma: &[f32], beta: &[f32], activation: Activation) -> Normalised {
+    pub fn forward(
+        &self,
+        path: Path,
+        input: &[f32],
+        gamma: &[f32],
+        beta: &[f32],
+        activation: Activation,
+    ) -> Normalised {
         assert_len("the input", input.len(), self.len());
         assert_len("gamma", gamma.len(), self.channels);
         assert_len("beta", beta.len(), self.channels);
@@ -85,9 +92,8 @@ impl BatchNorm {
                 let planes = || (0..self.batch).map(|n| self.plane(n, channel));
                 let mean = planes().map(|start| path.run(Sum(&input[start..][..self.positions]))).sum::<f64>() / count;
                 let mean = mean as f32;
-                let squares = planes().map(|start| {
-                    path.run(SquaredDeviations { values: &input[start..][..self.positions], mean })
-                });
+                let squares = planes()
+                    .map(|start| path.run(SquaredDeviations { values: &input[start..][..self.positions], mean }));
                 let variance = squares.sum::<f64>() / count;
                 let inverse_deviation = (1.0 / (variance + self.epsilon).sqrt()) as f32;
                 *statistics = [mean, inverse_deviation, variance as f32];
@@ -112,7 +118,10 @@ impl BatchNorm {
     /// # Panics
     ///
     /// If a slice has not the length that the shape asks for.
-    #[expect(clippy::too_many_arguments, reason = "the operation has that many inputs, and no two belong together elsewhere")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "the operation has that many inputs, and no two belong together elsewhere"
+    )]
     #[must_use]
     pub fn backward(
         &self,
@@ -127,7 +136,9 @@ impl BatchNorm {
     ) -> BatchNormGradients {
         assert_len("the input", input.len(), self.len());
         assert_len("the output's gradient", output_gradient.len(), self.len());
-        for (what, values) in [("gamma", gamma), ("beta", beta), ("the mean", mean), ("the deviation", inverse_deviation)] {
+        for (what, values) in
+            [("gamma", gamma), ("beta", beta), ("the mean", mean), ("the deviation", inverse_deviation)]
+        {
             assert_len(what, values.len(), self.channels);
         }
         let mut sums = vec![[0.0; 2]; self.channels];
@@ -138,7 +149,8 @@ impl BatchNorm {
                 let affine = Affine::new(gamma[channel], beta[channel], mean, inverse_deviation);
                 let (mut gradient_sum, mut product_sum) = (0.0, 0.0);
                 for start in (0..self.batch).map(|n| self.plane(n, channel)) {
-                    let (values, gradient) = (&input[start..][..self.positions], &output_gradient[start..][..self.positions]);
+                    let (values, gradient) =
+                        (&input[start..][..self.positions], &output_gradient[start..][..self.positions]);
                     let (sum, product) = match activation {
                         Activation::Identity => path.run(GradientSums::<false> { values, gradient, affine, mean }),
                         Activation::Relu => path.run(GradientSums::<true> { values, gradient, affine, mean }),
@@ -153,7 +165,8 @@ impl BatchNorm {
                 let slope = (-scale * inverse * inverse * product_sum / count) as f32;
                 let offset = (-scale * gradient_sum / count) as f32;
                 for start in (0..self.batch).map(|n| self.plane(n, channel)) {
-                    let (values, gradient) = (&input[start..][..self.positions], &output_gradient[start..][..self.positions]);
+                    let (values, gradient) =
+                        (&input[start..][..self.positions], &output_gradient[start..][..self.positions]);
                     let to = output.part(start, self.positions);
                     match activation {
                         Activation::Identity => {

@@ -1,8 +1,8 @@
 //! Which instructions the kernels run on, chosen at run time.
 
-use crate::lanes::{Lanes, Portable};
 #[cfg(all(target_arch = "x86_64", not(miri)))]
 use crate::lanes::{Avx2, Avx512};
+use crate::lanes::{Lanes, Portable};
 use std::fmt;
 
 /// A set of instructions that kernels exist for.

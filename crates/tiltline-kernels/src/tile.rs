@@ -102,7 +102,12 @@ unsafe fn sweep_width<L: Lanes, const NO: usize, const NV: usize>(lanes: L, inpu
 ///
 /// As for [`sweep`], with `NO` the width and `NV` vectors from `position` on.
 #[inline(always)]
-unsafe fn tile<L: Lanes, const NO: usize, const NV: usize>(lanes: L, input: TileInput, output: TileOutput, position: usize) {
+unsafe fn tile<L: Lanes, const NO: usize, const NV: usize>(
+    lanes: L,
+    input: TileInput,
+    output: TileOutput,
+    position: usize,
+) {
     let mut sums = [[lanes.splat(0.0); NV]; NO];
     // SAFETY: the caller promises all of these reads: `NO` biases, for each channel and tap `NO` weights, and `NV` vectors of
     // the block from `position` on.

@@ -34,12 +34,7 @@ impl TransposedConv {
     /// # Errors
     ///
     /// As for [`TransposedConv::plane`].
-    pub fn volume(
-        batch: usize,
-        in_channels: usize,
-        out_channels: usize,
-        size: [usize; 3],
-    ) -> Result<Self, ShapeError> {
+    pub fn volume(batch: usize, in_channels: usize, out_channels: usize, size: [usize; 3]) -> Result<Self, ShapeError> {
         Self::new(batch, [in_channels, out_channels], size, [3; 3], [1; 3])
     }
 

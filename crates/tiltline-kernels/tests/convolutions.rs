@@ -59,7 +59,12 @@ fn check(definition: Definition, path: Path) {
     expected.assert_close(&y_relu, &what("biased, rectified output"));
     let gb = on!(shape, bias_gradient(path, &gy));
     for (channel, &found) in gb.iter().enumerate() {
-        let terms = || gy.iter().enumerate().filter(|&(i, _)| definition.channel_of_output(i) == channel).map(|(_, &g)| f64::from(g));
+        let terms = || {
+            gy.iter()
+                .enumerate()
+                .filter(|&(i, _)| definition.channel_of_output(i) == channel)
+                .map(|(_, &g)| f64::from(g))
+        };
         let tolerance = 4.0 * f64::from(f32::EPSILON) * terms().map(f64::abs).sum::<f64>();
         assert!((f64::from(found) - terms().sum::<f64>()).abs() <= tolerance, "{}", what("bias gradient"));
     }
@@ -198,7 +203,11 @@ fn threads_change_no_bit() {
             };
             let one = on_threads(1, all);
             for threads in [2, 5] {
-                assert!(one == on_threads(threads, all), "{definition:?} on {} with {threads} threads", path.instructions());
+                assert!(
+                    one == on_threads(threads, all),
+                    "{definition:?} on {} with {threads} threads",
+                    path.instructions()
+                );
             }
         }
     }

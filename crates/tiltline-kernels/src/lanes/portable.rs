@@ -39,7 +39,12 @@ impl Lanes for Portable {
     fn mul_add(self, a: Four, b: Four, c: Four) -> Four {
         let (Four(a), Four(b), Four(c)) = (a, b, c);
         if FUSED {
-            Four([a[0].mul_add(b[0], c[0]), a[1].mul_add(b[1], c[1]), a[2].mul_add(b[2], c[2]), a[3].mul_add(b[3], c[3])])
+            Four([
+                a[0].mul_add(b[0], c[0]),
+                a[1].mul_add(b[1], c[1]),
+                a[2].mul_add(b[2], c[2]),
+                a[3].mul_add(b[3], c[3]),
+            ])
         } else {
             Four([a[0] * b[0] + c[0], a[1] * b[1] + c[1], a[2] * b[2] + c[2], a[3] * b[3] + c[3]])
         }

@@ -16,7 +16,14 @@ pub struct Definition {
 }
 
 impl Definition {
-    pub fn conv(kernel: [usize; 3], stride: usize, batch: usize, inputs: usize, outputs: usize, size: [usize; 3]) -> Self {
+    pub fn conv(
+        kernel: [usize; 3],
+        stride: usize,
+        batch: usize,
+        inputs: usize,
+        outputs: usize,
+        size: [usize; 3],
+    ) -> Self {
         Self { batch, inputs, outputs, size, kernel, stride, transposed: false }
     }
 
@@ -61,7 +68,9 @@ impl Definition {
     /// Calls `term(input index, weight index, output index)` for every product in the definition.
     pub fn for_each_term(&self, mut term: impl FnMut(usize, usize, usize)) {
         let (stride, padding, out) = (self.stride(), self.padding(), self.output_size());
-        let index = |size: [usize; 3], plane: usize, at: [usize; 3]| ((plane * size[0] + at[0]) * size[1] + at[1]) * size[2] + at[2];
+        let index = |size: [usize; 3], plane: usize, at: [usize; 3]| {
+            ((plane * size[0] + at[0]) * size[1] + at[1]) * size[2] + at[2]
+        };
         // The side that strides are counted on.
         let (coarse, fine) = if self.transposed { (self.size, out) } else { (out, self.size) };
         for n in 0..self.batch {
@@ -69,7 +78,8 @@ impl Definition {
                 for i in 0..self.inputs {
                     for q in places(coarse) {
                         for k in places(self.kernel) {
-                            let at = [0, 1, 2].map(|axis| (stride[axis] * q[axis] + k[axis]).wrapping_sub(padding[axis]));
+                            let at =
+                                [0, 1, 2].map(|axis| (stride[axis] * q[axis] + k[axis]).wrapping_sub(padding[axis]));
                             if (0..3).any(|axis| at[axis] >= fine[axis]) {
                                 continue;
                             }
@@ -171,7 +181,11 @@ impl Sums {
         for (i, &found) in found.iter().enumerate() {
             let tolerance = 16.0 * f64::from(f32::EPSILON) * self.magnitudes[i];
             let error = (f64::from(found) - self.values[i]).abs();
-            assert!(error <= tolerance, "{what}: element {i} is {found}, not {} (tolerance {tolerance:e})", self.values[i]);
+            assert!(
+                error <= tolerance,
+                "{what}: element {i} is {found}, not {} (tolerance {tolerance:e})",
+                self.values[i]
+            );
         }
     }
 }
