@@ -2,7 +2,7 @@
 
 use crate::conv::Activation;
 use crate::coupling::{Correlation, volume};
-use crate::gather::{Blocking, Corner, Layout, Source};
+use crate::gather::{Blocking, Corner, Layout, Source, Window};
 use crate::lanes::{Lanes, MAX_COUNT};
 use crate::path::{Kernel, Path};
 use crate::scratch::{Output, fill_output, with_scratch};
@@ -58,9 +58,8 @@ pub(crate) fn correlate(
                 path.run(BlockKernel {
                     correlation,
                     layout,
-                    corner: Corner { batch, row, column },
+                    window: Window { source, corner: Corner { batch, row, column }, channels: 0..source.channels },
                     depths: depth..(depth + DEPTH_STEPS).min(correlation.grid[0]),
-                    source,
                     tiles: &tiles[group * tiles_each..((group + 1) * tiles_each).min(tiles.len())],
                     full_tile: path.tile(),
                     packed: &packed,
@@ -112,9 +111,8 @@ fn pack(correlation: &Correlation, tiles: &[(usize, usize, usize)], full: usize,
 struct BlockKernel<'a> {
     correlation: &'a Correlation,
     layout: Layout,
-    corner: Corner,
+    window: Window<'a>,
     depths: Range<usize>,
-    source: Source<'a>,
     tiles: &'a [(usize, usize, usize)],
     full_tile: usize,
     packed: &'a [Vec<f32>],
@@ -141,15 +139,7 @@ impl Kernel for BlockKernel<'_> {
         let mut offsets: Vec<usize> = Vec::new();
         for z in self.depths.clone() {
             let continues = z > self.depths.start;
-            self.layout.gather_depth(
-                lanes,
-                self.block,
-                self.source,
-                self.corner,
-                0..self.source.channels,
-                z,
-                continues,
-            );
+            self.layout.gather_depth(lanes, self.block, &self.window, z, continues);
             for (group, sets) in correlation.sets.chunks_exact(phases).enumerate() {
                 let [phase_z, phase_y, _] = sets[0].target_phase;
                 let target_z = correlation.target_stride[0] * z + phase_z;
@@ -208,7 +198,7 @@ impl BlockKernel<'_> {
     #[inline(always)]
     fn target_row(&self, channel: usize, z: usize, y: usize) -> usize {
         let [depth, height, width] = self.correlation.target;
-        (((self.corner.batch * self.correlation.target_channels + channel) * depth + z) * height + y) * width
+        (((self.window.corner.batch * self.correlation.target_channels + channel) * depth + z) * height + y) * width
     }
 
     /// Stores of a correlation whose target has the grid's own resolution.
@@ -216,7 +206,7 @@ impl BlockKernel<'_> {
     fn direct_output(&self, first_channel: usize, channels: usize, z: usize) -> TileOutput {
         let [_, _, width] = self.correlation.target;
         let Layout { rows, columns, pitch, .. } = self.layout;
-        let start = self.target_row(first_channel, z, self.corner.row) + self.corner.column;
+        let start = self.target_row(first_channel, z, self.window.corner.row) + self.window.corner.column;
         let to = self.output.part(start, (rows - 1) * width + columns);
         let channel_stride = volume(self.correlation.target);
         let positions = self.layout.positions();
@@ -248,12 +238,12 @@ impl BlockKernel<'_> {
     ) {
         let [_, height, width] = self.correlation.target;
         let (even, odd) = self.stage.split_at(self.full_tile * stage_len);
-        let column = 2 * self.corner.column;
+        let column = 2 * self.window.corner.column;
         // Of an odd width the last column has no odd partner.
         let written = (2 * self.layout.columns).min(width - column);
         for channel in 0..channels {
             for row in 0..self.layout.rows {
-                let y = self.correlation.target_stride[1] * (self.corner.row + row) + phase_y;
+                let y = self.correlation.target_stride[1] * (self.window.corner.row + row) + phase_y;
                 if y >= height {
                     break;
                 }

@@ -72,12 +72,20 @@ pub(crate) struct Source<'a> {
     pub size: [usize; 3],
 }
 
-/// Part of a tensor's grid: one batch entry, rows from `row` and columns from `column` on.
+/// Where a block begins in a tensor's grid.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corner {
     pub batch: usize,
     pub row: usize,
     pub column: usize,
+}
+
+/// The part of a tensor that a buffer is to hold; its rows and columns are the layout's.
+#[derive(Clone)]
+pub(crate) struct Window<'a> {
+    pub source: Source<'a>,
+    pub corner: Corner,
+    pub channels: Range<usize>,
 }
 
 impl Layout {
@@ -87,34 +95,23 @@ impl Layout {
         &self,
         lanes: L,
         buffer: &mut [f32],
-        source: Source,
-        corner: Corner,
-        channels: Range<usize>,
+        window: &Window,
         z: usize,
         continues: bool,
     ) {
         let first = if continues { self.slots - 1 } else { 0 };
         for ring in z + first..z + self.slots {
-            self.gather_plane(lanes, buffer, source, corner, channels.clone(), ring);
+            self.gather_plane(lanes, buffer, window, ring);
         }
     }
 
     #[inline(always)]
-    fn gather_plane<L: Lanes>(
-        &self,
-        lanes: L,
-        buffer: &mut [f32],
-        source: Source,
-        corner: Corner,
-        channels: Range<usize>,
-        ring: usize,
-    ) {
+    fn gather_plane<L: Lanes>(&self, lanes: L, buffer: &mut [f32], window: &Window, ring: usize) {
+        let Window { source, corner, channels } = window;
         let [depth, height, width] = source.size;
-        let start = channels.start;
-        for channel in channels {
-            let from = &source.values[(corner.batch * source.channels + channel) * volume(source.size)..]
-                [..volume(source.size)];
-            let to = &mut buffer[(channel - start) * self.channel_len..][..self.channel_len];
+        let len = volume(source.size);
+        for (channel, to) in channels.clone().zip(buffer.chunks_exact_mut(self.channel_len)) {
+            let from = &source.values[(corner.batch * source.channels + channel) * len..][..len];
             for phase in 0..volume(self.stride) {
                 let phase = [
                     phase / (self.stride[1] * self.stride[2]),
@@ -128,7 +125,7 @@ impl Layout {
                     continue;
                 }
                 let from = &from[z as usize * height * width..][..height * width];
-                self.gather_rows(lanes, plane, from, [height, width], corner, phase);
+                self.gather_rows(lanes, plane, from, [height, width], *corner, phase);
             }
         }
     }
@@ -173,7 +170,10 @@ impl Layout {
                 let mut i = 0;
                 while i + L::COUNT <= row.len() && 2 * (i + L::COUNT) <= from.len() {
                     // SAFETY: both ranges were just checked.
-                    unsafe { lanes.store(row.as_mut_ptr().add(i), lanes.load_even(from.as_ptr().add(2 * i))) };
+                    unsafe {
+                        let [even, _] = lanes.load_deinterleaved(from.as_ptr().add(2 * i));
+                        lanes.store(row.as_mut_ptr().add(i), even);
+                    };
                     i += L::COUNT;
                 }
                 for i in i..row.len() {

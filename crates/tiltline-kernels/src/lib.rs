@@ -1,9 +1,9 @@
 //! CPU kernels for convolutional networks on slices of `f32`; no tensor library is known here.
 //!
 //! - [`Conv`]: 3x3 and 3x3x3 convolutions at stride 1 and 2, pointwise (1x1) ones, and their gradients.
-//! - [`TransposedConv`]: 2x2 with stride 2 (U-Net) and 3x3x3 with stride 2 (hourglass), and their gradients.
+//! - [`TransposedConv`]: kernel 2x2 with stride 2 (U-Net) and 3x3x3 with stride 2 (hourglass), and their gradients.
 //! - [`BatchNorm`]: batch norm and ReLU in one, in training; [`fold_batch_norm`] puts it into a convolution for inference.
-//! - [`MaxPool`]: 2x2.
+//! - [`MaxPool`]: the largest of 2x2.
 //!
 //! Arrays are contiguous, `[batch, channel, (depth,) row, column]`; weights are laid out as PyTorch and burn lay them out.
 //!
@@ -26,6 +26,9 @@
 //! # Ok(())
 //! # }
 //! ```
+
+// Register tiles are indexed by two counters at once; iterators over them say less.
+#![allow(clippy::needless_range_loop)]
 
 mod conv;
 mod correlate;

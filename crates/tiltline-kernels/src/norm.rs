@@ -209,13 +209,12 @@ impl Affine {
     }
 }
 
-/// Calls `$body` for each vector of equally long slices, with `$i` counting the vectors; the last one is filled up with
-/// `$pad`. A macro, since a closure would not be compiled for the path's instructions.
+/// Runs `$body` for each vector of equally long slices, beginning at `$start` with `$count` values; the last one is filled
+/// up with `$pad`. A macro, since a closure would not be compiled for the path's instructions.
 macro_rules! for_each_vector {
-    ($lanes:ident, $len:expr, [$($vector:ident of $slice:expr, $pad:expr);+], |$i:ident, $start:ident, $count:ident| $body:block) => {
+    ($lanes:ident, $len:expr, [$($vector:ident of $slice:expr, $pad:expr);+], |$start:ident, $count:ident| $body:block) => {
         let len: usize = $len;
         let mut $start = 0;
-        let mut $i = 0usize;
         while $start < len {
             let $count = (len - $start).min(L::COUNT);
             $(
@@ -229,9 +228,7 @@ macro_rules! for_each_vector {
             )+
             $body
             $start += L::COUNT;
-            $i += 1;
         }
-        let _ = $i;
     };
 }
 
@@ -266,10 +263,9 @@ impl Kernel for SquaredDeviations<'_> {
                     sums[i] = lanes.mul_add(deviation, deviation, sums[i]);
                 }
             }
-            for_each_vector!(lanes, rest.len(), [value of rest, self.mean], |i, start, count| {
+            for_each_vector!(lanes, rest.len(), [value of rest, self.mean], |_start, _count| {
                 let deviation = lanes.sub(value, mean);
                 sums[0] = lanes.mul_add(deviation, deviation, sums[0]);
-                let _ = count;
             });
             total += f64::from(lanes.sum(lanes.add(lanes.add(sums[0], sums[1]), lanes.add(sums[2], sums[3]))));
         }
@@ -290,7 +286,7 @@ impl<const RELU: bool> Kernel for Apply<'_, RELU> {
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) {
         let (scale, offset) = (lanes.splat(self.affine.scale), lanes.splat(self.affine.offset));
-        for_each_vector!(lanes, self.values.len(), [value of self.values, 0.0], |i, start, count| {
+        for_each_vector!(lanes, self.values.len(), [value of self.values, 0.0], |start, count| {
             let result = lanes.mul_add(value, scale, offset);
             let result = if RELU { lanes.relu(result) } else { result };
             // SAFETY: `to` has as many elements as `values`.
@@ -342,12 +338,12 @@ impl<const RELU: bool> Kernel for GradientSums<'_, RELU> {
         let (mut total, mut product_total) = (0.0, 0.0);
         for (values, gradients) in self.values.chunks(RUN).zip(self.gradient.chunks(RUN)) {
             let (mut sums, mut products) = ([lanes.splat(0.0); 2], [lanes.splat(0.0); 2]);
-            for_each_vector!(lanes, values.len(), [value of values, 0.0; gradient of gradients, 0.0], |i, start, count| {
+            for_each_vector!(lanes, values.len(), [value of values, 0.0; gradient of gradients, 0.0], |start, _count| {
                 let gradient = through::<L, RELU>(lanes, value, gradient, self.affine);
                 // Two sums of each hide some of the latency of the additions.
-                sums[i % 2] = lanes.add(sums[i % 2], gradient);
-                products[i % 2] = lanes.mul_add(gradient, lanes.sub(value, mean), products[i % 2]);
-                let _ = count;
+                let turn = start / L::COUNT % 2;
+                sums[turn] = lanes.add(sums[turn], gradient);
+                products[turn] = lanes.mul_add(gradient, lanes.sub(value, mean), products[turn]);
             });
             total += f64::from(lanes.sum(lanes.add(sums[0], sums[1])));
             product_total += f64::from(lanes.sum(lanes.add(products[0], products[1])));
@@ -375,7 +371,7 @@ impl<const RELU: bool> Kernel for InputGradient<'_, RELU> {
         let (scale, mean) = (lanes.splat(self.affine.scale), lanes.splat(self.mean));
         let (slope, offset) = (lanes.splat(self.slope), lanes.splat(self.offset));
         let len = self.values.len();
-        for_each_vector!(lanes, len, [value of self.values, 0.0; gradient of self.gradient, 0.0], |i, start, count| {
+        for_each_vector!(lanes, len, [value of self.values, 0.0; gradient of self.gradient, 0.0], |start, count| {
             let gradient = through::<L, RELU>(lanes, value, gradient, self.affine);
             let result = lanes.mul_add(slope, lanes.sub(value, mean), offset);
             let result = lanes.mul_add(gradient, scale, result);

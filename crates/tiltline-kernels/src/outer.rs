@@ -2,7 +2,7 @@
 //! tensor times the fine one shifted by the tap.
 
 use crate::coupling::{Correlation, Coupling, volume};
-use crate::gather::{Blocking, Corner, Layout, Source};
+use crate::gather::{Blocking, Corner, Layout, Source, Window};
 use crate::lanes::{Lanes, MAX_COUNT};
 use crate::path::{Kernel, Path};
 use crate::scratch::with_scratch;
@@ -123,7 +123,8 @@ impl Kernel for OuterKernel<'_> {
                 let layout = Layout::new(correlation, rows, width);
                 let continues = previous == Some(place);
                 previous = Some(place);
-                layout.gather_depth(lanes, self.block, self.fine, corner, channels.clone(), z, continues);
+                let window = Window { source: self.fine, corner, channels: channels.clone() };
+                layout.gather_depth(lanes, self.block, &window, z, continues);
                 let stage_len = layout.positions().next_multiple_of(MAX_COUNT);
                 for (tile, &(first, channels, width)) in self.tiles.iter().enumerate() {
                     let stage = &mut self.stage[tile * L::TILE * stage_len..][..width * stage_len];

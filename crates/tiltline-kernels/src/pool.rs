@@ -83,7 +83,6 @@ impl MaxPool {
 }
 
 /// Keeps NaN, unlike `f32::max`.
-#[inline(always)]
 fn larger(a: f32, b: f32) -> f32 {
     if b > a || b.is_nan() { b } else { a }
 }
@@ -98,15 +97,26 @@ impl Kernel for PoolPlane<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
+    fn run<L: Lanes>(self, lanes: L) {
         let (columns, pooled) = (self.pool.columns, self.pool.columns / 2);
         for row in 0..self.pool.rows / 2 {
             let (upper, lower) = self.from[2 * row * columns..][..2 * columns].split_at(columns);
-            let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
-            for (column, (upper, lower)) in pairs.enumerate() {
-                let value = larger(larger(upper[0], upper[1]), larger(lower[0], lower[1]));
-                // SAFETY: `to` is this plane of the output, `rows / 2` by `columns / 2`; an odd last column has no pair.
-                unsafe { self.to.add(row * pooled + column).write(value) };
+            let to = self.to.wrapping_add(row * pooled);
+            let mut column = 0;
+            // SAFETY: `column + L::COUNT <= pooled`, and rows have at least twice `pooled` values; `to` is a row of this
+            // plane's output, of `pooled` values.
+            unsafe {
+                while column + L::COUNT <= pooled {
+                    let [a, b] = lanes.load_deinterleaved(upper.as_ptr().add(2 * column));
+                    let [c, d] = lanes.load_deinterleaved(lower.as_ptr().add(2 * column));
+                    lanes.store(to.add(column), lanes.max(lanes.max(a, b), lanes.max(c, d)));
+                    column += L::COUNT;
+                }
+            }
+            for column in column..pooled {
+                let [a, b, c, d] = [upper[2 * column], upper[2 * column + 1], lower[2 * column], lower[2 * column + 1]];
+                // SAFETY: as above.
+                unsafe { to.add(column).write(larger(larger(a, b), larger(c, d))) };
             }
         }
     }
@@ -123,31 +133,61 @@ impl Kernel for UnpoolPlane<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let (rows, columns) = (self.pool.rows, self.pool.columns);
+    fn run<L: Lanes>(self, lanes: L) {
+        let (rows, columns, pooled) = (self.pool.rows, self.pool.columns, self.pool.columns / 2);
         for row in 0..rows / 2 {
             let (upper, lower) = self.from[2 * row * columns..][..2 * columns].split_at(columns);
-            let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
-            let gradient = &self.gradient[row * (columns / 2)..][..columns / 2];
-            for (column, ((upper, lower), &gradient)) in pairs.zip(gradient).enumerate() {
-                let largest = larger(larger(upper[0], upper[1]), larger(lower[0], lower[1]));
-                let first = upper[0] == largest;
-                let second = !first & (upper[1] == largest);
-                let third = !first & !second & (lower[0] == largest);
-                let fourth = !first & !second & !third;
-                let upper = [if first { gradient } else { 0.0 }, if second { gradient } else { 0.0 }];
-                let lower = [if third { gradient } else { 0.0 }, if fourth { gradient } else { 0.0 }];
-                let to = self.to.wrapping_add(2 * row * columns + 2 * column);
-                // SAFETY: `to` is this plane of the output, as large as the input's; both pairs lie in it.
+            let gradient = &self.gradient[row * pooled..][..pooled];
+            // Two rows of the output.
+            let to = self.to.wrapping_add(2 * row * columns);
+            let mut column = 0;
+            // SAFETY: `column + L::COUNT <= pooled`, `gradient` has `pooled` values, and rows of input and output have at
+            // least twice as many.
+            unsafe {
+                while column + L::COUNT <= pooled {
+                    let [a, b] = lanes.load_deinterleaved(upper.as_ptr().add(2 * column));
+                    let [c, d] = lanes.load_deinterleaved(lower.as_ptr().add(2 * column));
+                    let largest = lanes.max(lanes.max(a, b), lanes.max(c, d));
+                    // What no earlier value of the block has taken.
+                    let not_a = lanes.load(gradient.as_ptr().add(column));
+                    let not_b = lanes.keep_where_unequal(a, largest, not_a);
+                    let not_c = lanes.keep_where_unequal(b, largest, not_b);
+                    let not_d = lanes.keep_where_unequal(c, largest, not_c);
+                    let (a, b) = (lanes.keep_where_equal(a, largest, not_a), lanes.keep_where_equal(b, largest, not_b));
+                    lanes.store_interleaved(to.add(2 * column), a, b);
+                    lanes.store_interleaved(
+                        to.add(columns + 2 * column),
+                        lanes.keep_where_equal(c, largest, not_c),
+                        not_d,
+                    );
+                    column += L::COUNT;
+                }
+            }
+            for column in column..pooled {
+                let block = [upper[2 * column], upper[2 * column + 1], lower[2 * column], lower[2 * column + 1]];
+                let largest = larger(larger(block[0], block[1]), larger(block[2], block[3]));
+                let first = if block[0] == largest {
+                    0
+                } else if block[1] == largest {
+                    1
+                } else if block[2] == largest {
+                    2
+                } else {
+                    3
+                };
+                let mut shares = [0.0; 4];
+                shares[first] = gradient[column];
+                // SAFETY: both pairs lie in the two rows of the output.
                 unsafe {
-                    to.cast::<[f32; 2]>().write(upper);
-                    to.add(columns).cast::<[f32; 2]>().write(lower);
+                    to.add(2 * column).cast::<[f32; 2]>().write([shares[0], shares[1]]);
+                    to.add(columns + 2 * column).cast::<[f32; 2]>().write([shares[2], shares[3]]);
                 }
             }
             if columns % 2 == 1 {
-                for row in [2 * row, 2 * row + 1] {
-                    // SAFETY: the last column of a row of this plane.
-                    unsafe { self.to.add((row + 1) * columns - 1).write(0.0) };
+                // SAFETY: the last column of the two rows.
+                unsafe {
+                    to.add(columns - 1).write(0.0);
+                    to.add(2 * columns - 1).write(0.0);
                 }
             }
         }

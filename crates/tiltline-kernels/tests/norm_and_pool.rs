@@ -76,8 +76,7 @@ fn batch_norm_is_its_definition() {
             let found = norm.forward(path, &x, &gamma, &beta, activation);
             let expected = definition.forward(&wide(&x));
             let statistics = definition.statistics(&wide(&x));
-            for channel in 0..channels {
-                let [mean, variance] = statistics[channel];
+            for (channel, &[mean, variance]) in statistics.iter().enumerate() {
                 assert!(close(found.mean[channel], mean, 1e-6), "{shape:?}");
                 assert!(close(found.variance[channel], variance, 1e-6), "{shape:?}");
                 let inverse = 1.0 / (variance + EPSILON).sqrt();

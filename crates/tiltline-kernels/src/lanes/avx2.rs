@@ -62,6 +62,25 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
+    fn keep_where_equal(self, a: __m256, b: __m256, value: __m256) -> __m256 {
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm256_and_ps(_mm256_cmp_ps::<_CMP_EQ_OQ>(a, b), value) }
+    }
+
+    #[inline(always)]
+    fn keep_where_unequal(self, a: __m256, b: __m256, value: __m256) -> __m256 {
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm256_andnot_ps(_mm256_cmp_ps::<_CMP_EQ_OQ>(a, b), value) }
+    }
+
+    #[inline(always)]
+    fn max(self, a: __m256, b: __m256) -> __m256 {
+        // The instruction returns its second operand where either is NaN: right where it is `a` that is.
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm256_blendv_ps(_mm256_max_ps(b, a), b, _mm256_cmp_ps::<_CMP_UNORD_Q>(b, b)) }
+    }
+
+    #[inline(always)]
     fn sum(self, a: __m256) -> f32 {
         // SAFETY: the token proves that the instructions exist.
         unsafe {
@@ -96,13 +115,17 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    unsafe fn load_even(self, from: *const f32) -> __m256 {
+    unsafe fn load_deinterleaved(self, from: *const f32) -> [__m256; 2] {
         // SAFETY: the caller promises sixteen readable floats; the token proves that the instructions exist.
         unsafe {
             let (low, high) = (_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(8)));
             // Pairs in the order low, high, low, high.
-            let even = _mm256_shuffle_ps::<0b10_00_10_00>(low, high);
-            _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(_mm256_castps_pd(even)))
+            let even = _mm256_castps_pd(_mm256_shuffle_ps::<0b10_00_10_00>(low, high));
+            let odd = _mm256_castps_pd(_mm256_shuffle_ps::<0b11_01_11_01>(low, high));
+            [
+                _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(even)),
+                _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(odd)),
+            ]
         }
     }
 

@@ -59,6 +59,25 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
+    fn keep_where_equal(self, a: __m512, b: __m512, value: __m512) -> __m512 {
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_EQ_OQ>(a, b), value) }
+    }
+
+    #[inline(always)]
+    fn keep_where_unequal(self, a: __m512, b: __m512, value: __m512) -> __m512 {
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(a, b), value) }
+    }
+
+    #[inline(always)]
+    fn max(self, a: __m512, b: __m512) -> __m512 {
+        // The instruction returns its second operand where either is NaN: right where it is `a` that is.
+        // SAFETY: the token proves that the instructions exist.
+        unsafe { _mm512_mask_mov_ps(_mm512_max_ps(b, a), _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(b, b), b) }
+    }
+
+    #[inline(always)]
     fn sum(self, a: __m512) -> f32 {
         // SAFETY: the token proves that the instruction exists.
         unsafe { _mm512_reduce_add_ps(a) }
@@ -86,11 +105,13 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
-    unsafe fn load_even(self, from: *const f32) -> __m512 {
+    unsafe fn load_deinterleaved(self, from: *const f32) -> [__m512; 2] {
         // SAFETY: the caller promises 32 readable floats; the token proves that the instructions exist.
         unsafe {
-            let places = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
-            _mm512_permutex2var_ps(_mm512_loadu_ps(from), places, _mm512_loadu_ps(from.add(16)))
+            let (low, high) = (_mm512_loadu_ps(from), _mm512_loadu_ps(from.add(16)));
+            let even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+            let odd = _mm512_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
+            [_mm512_permutex2var_ps(low, even, high), _mm512_permutex2var_ps(low, odd, high)]
         }
     }
 

@@ -32,6 +32,12 @@ pub(crate) trait Lanes: Copy {
     fn relu(self, a: Self::Vector) -> Self::Vector;
     /// `value` where `condition > 0`, else 0.
     fn keep_where_positive(self, condition: Self::Vector, value: Self::Vector) -> Self::Vector;
+    /// `value` where `a == b`, else 0.
+    fn keep_where_equal(self, a: Self::Vector, b: Self::Vector, value: Self::Vector) -> Self::Vector;
+    /// 0 where `a == b`, else `value`.
+    fn keep_where_unequal(self, a: Self::Vector, b: Self::Vector, value: Self::Vector) -> Self::Vector;
+    /// The larger one, or NaN if either is.
+    fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// The sum of all lanes, in an order that does not vary.
     fn sum(self, a: Self::Vector) -> f32;
 
@@ -47,11 +53,11 @@ pub(crate) trait Lanes: Copy {
     /// `first < end <= COUNT`, and those elements must be valid for writing; the rest of `to` need not exist.
     unsafe fn store_lanes(self, to: *mut f32, vector: Self::Vector, first: usize, end: usize);
 
-    /// `from[0]`, `from[2]`, `from[4]` and so on.
+    /// `from[0]`, `from[2]`, `from[4]` and so on, and `from[1]`, `from[3]` and so on.
     ///
     /// # Safety
     /// `from` must be valid for reading `2 COUNT` floats.
-    unsafe fn load_even(self, from: *const f32) -> Self::Vector;
+    unsafe fn load_deinterleaved(self, from: *const f32) -> [Self::Vector; 2];
     /// Stores the lanes of both in turns, beginning with the even ones.
     ///
     /// # Safety

@@ -71,6 +71,38 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
+    fn keep_where_equal(self, a: Four, b: Four, value: Four) -> Four {
+        let (Four(a), Four(b), Four(value)) = (a, b, value);
+        let mut kept = [0.0; 4];
+        for i in 0..4 {
+            kept[i] = if a[i] == b[i] { value[i] } else { 0.0 };
+        }
+        Four(kept)
+    }
+
+    #[inline(always)]
+    fn keep_where_unequal(self, a: Four, b: Four, value: Four) -> Four {
+        let (Four(a), Four(b), Four(value)) = (a, b, value);
+        let mut kept = [0.0; 4];
+        for i in 0..4 {
+            kept[i] = if a[i] == b[i] { 0.0 } else { value[i] };
+        }
+        Four(kept)
+    }
+
+    #[inline(always)]
+    fn max(self, a: Four, b: Four) -> Four {
+        let (Four(a), Four(b)) = (a, b);
+        let mut larger = a;
+        for i in 0..4 {
+            if b[i] > a[i] || b[i].is_nan() {
+                larger[i] = b[i];
+            }
+        }
+        Four(larger)
+    }
+
+    #[inline(always)]
     fn sum(self, a: Four) -> f32 {
         let Four(a) = a;
         (a[0] + a[2]) + (a[1] + a[3])
@@ -98,10 +130,10 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
-    unsafe fn load_even(self, from: *const f32) -> Four {
+    unsafe fn load_deinterleaved(self, from: *const f32) -> [Four; 2] {
         // SAFETY: the caller promises eight readable floats.
-        let [a, _, b, _, c, _, d, _] = unsafe { from.cast::<[f32; 8]>().read() };
-        Four([a, b, c, d])
+        let [a, b, c, d, e, f, g, h] = unsafe { from.cast::<[f32; 8]>().read() };
+        [Four([a, c, e, g]), Four([b, d, f, h])]
     }
 
     #[inline(always)]
