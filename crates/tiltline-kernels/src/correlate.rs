@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Floats in a gathered block: with weights and outputs it should stay in a second-level cache of 512 KiB to 1 MiB.
-const BLOCK_FLOATS: usize = 100_000;
+const BLOCK_FLOATS: usize = 128_000;
 /// More positions than this only delay the other threads.
 const BLOCK_POSITIONS: usize = 8192;
 /// Grid planes that one task walks through, keeping the planes that the next step needs again.

@@ -12,8 +12,9 @@ use std::ops::Range;
 
 /// Floats of the fine tensor in a gathered block.
 const BLOCK_FLOATS: usize = 120_000;
-/// Positions in a block: eight rows of coarse values of this length fit the first-level cache.
-const BLOCK_POSITIONS: usize = 1024;
+/// Most positions in a block: long runs spread the cost of the sums across lanes at their end, and a tile's rows of coarse
+/// values must still leave room in the second-level cache.
+const BLOCK_POSITIONS: usize = 4096;
 /// Fewest fine channels that are gathered together.
 const CHANNELS: usize = 16;
 /// Partial sums that the work is cut into, and the most floats that all of them may take.

@@ -65,6 +65,7 @@ pub(crate) unsafe fn sweep<L: Lanes>(lanes: L, width: usize, input: TileInput, o
         match width {
             1 => sweep_width::<L, 1, 6>(lanes, input, output),
             4 if L::TILE > 4 => sweep_width::<L, 4, 4>(lanes, input, output),
+            // With sixteen registers three vectors would fit, just, but the compiler then spills.
             4 => sweep_width::<L, 4, 2>(lanes, input, output),
             _ if L::TILE > 4 => sweep_width::<L, 8, 3>(lanes, input, output),
             _ => unreachable!("no tile of width {width}"),

@@ -18,7 +18,7 @@ pub(crate) use portable::Portable;
 pub(crate) trait Lanes: Copy {
     /// Floats in a vector; at most [`MAX_COUNT`].
     const COUNT: usize;
-    /// Output channels in a full register tile: as many as the registers can hold, three vectors of each.
+    /// Output channels in a full register tile: 8 where there are 32 registers, 4 where there are 16.
     const TILE: usize;
     /// A vector.
     type Vector: Copy;
