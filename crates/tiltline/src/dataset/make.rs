@@ -75,8 +75,17 @@ pub fn make(
         }
         Ok(())
     });
-    let State { manifest, .. } = state.into_inner().expect("no thread panics while it holds the lock");
-    manifest.write(folder)?;
+    let State { manifest, done, .. } = state.into_inner().expect("no thread panics while it holds the lock");
+    if let (Err(error), 0) = (&result, done)
+        && !matches!(error, DatasetError::Stopped)
+    {
+        // Nothing was made: the folder is left as it was found, for a second try with other settings.
+        fs::remove_file(folder.join(MANIFEST)).map_err(io)?;
+        // A folder that is still in use stays.
+        let _ = fs::remove_dir(folder);
+    } else {
+        manifest.write(folder)?;
+    }
     result?;
     Ok((Dataset { folder: folder.into(), manifest }, made))
 }

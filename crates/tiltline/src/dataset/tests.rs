@@ -101,6 +101,28 @@ fn nothing_else_is_overwritten() {
     assert!(matches!(Manifest::simulated(settings(), 1 << 30, 1, None), Err(DatasetError::Seed { .. })));
 }
 
+/// A network so dense that its lines cover each other: refused, and nothing stays behind that a second try would meet.
+#[test]
+fn a_plan_that_cannot_be_simulated_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("data");
+    let mut nodes = String::new();
+    for index in 0..400 {
+        let (start, end, y) = (2 * index, 2 * index + 1, 2.0 * f64::from(index) - 400.0);
+        nodes += &format!(
+            " 0,{start} -195 {y} 0 1 7\n 0,{end} 1 0 0\n 0 0 1\n 0,{end} 195 {y} 0 1 7\n 0,{start} -1 0 0\n 0 0 1\n"
+        );
+    }
+    let text = format!(
+        "dataFileVersion = 4\nnumFileSegments = 1\nminCoordinates = [\n-400\n-400\n-400\n]\nmaxCoordinates = [\n400\n400\n400\n]\n\
+         nodeCount = 800\ndataDecompType = 1\ndataDecompGeometry = [ 1 1 1 ]\nnodalData =\n{nodes}"
+    );
+    let network = crate::simulate::paradis::Network::parse(&text, &Default::default()).unwrap();
+    let refused = make(&plan(2), Lines::Network(&network), &target, &go_on);
+    assert!(refused.as_ref().is_err_and(|error| error.to_string().contains("too dense")), "{refused:?}");
+    assert!(!target.exists());
+}
+
 #[test]
 fn images_carry_pixel_size_and_tilt_and_a_series_is_also_a_stack() {
     let folder = tempfile::tempdir().unwrap();
