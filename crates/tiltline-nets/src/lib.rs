@@ -1,1 +1,11 @@
-//! The networks.
+//! The detector and the matcher of Tiltline as networks: definition, losses, training, weights.
+//!
+//! The only crate that names the tensor library (burn). Tensors are `[batch, channel, (depth,) row, column]`.
+
+pub mod config;
+pub mod detector;
+pub mod layers;
+pub mod losses;
+pub mod matcher;
+pub mod ops;
+pub mod volume;

@@ -1,0 +1,2 @@
+use super::*;
+use burn::tensor::{Distribution, TensorData};
