@@ -9,3 +9,4 @@ pub mod losses;
 pub mod matcher;
 pub mod ops;
 pub mod volume;
+pub mod weights;
