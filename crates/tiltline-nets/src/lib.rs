@@ -3,10 +3,14 @@
 //! The only crate that names the tensor library (burn). Tensors are `[batch, channel, (depth,) row, column]`.
 
 pub mod config;
+pub mod data;
 pub mod detector;
 pub mod layers;
 pub mod losses;
 pub mod matcher;
+pub mod networks;
 pub mod ops;
+pub mod score;
+pub mod train;
 pub mod volume;
 pub mod weights;

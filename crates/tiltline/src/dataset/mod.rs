@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 pub use error::DatasetError;
-pub use item::{disparity_map, line_mask};
+pub use item::{LINE_WIDTH_PX, disparity_map, line_mask};
 pub use make::{Made, make};
 pub use manifest::{DatasetFormat, GeometryFile, Item, MANIFEST, Manifest};
 pub use scores::{SetScoreError, SetScores};

@@ -1,0 +1,417 @@
+//! Training: batches in, weights out; resumable, and the same for any number of threads.
+//!
+//! A run is a folder: `train.toml` (all settings), `checkpoint-*.safetensors` (the last few), `best.safetensors` and
+//! `last.safetensors` (weights to use), `metrics.jsonl`, `curves.svg`.
+
+mod adam;
+mod checkpoint;
+mod metrics;
+mod step;
+
+pub use step::images;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use burn::module::Module;
+use burn::optim::GradientsParams;
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+
+use crate::config::{ConfigError, DetectorConfig, MatcherConfig};
+use crate::data::{Batch, DataError, DataSettings, Queue, Task as DataTask, validation};
+use crate::losses::LossWeights;
+use crate::networks::Networks;
+use crate::score::validate;
+use crate::weights::{NetworkConfig, Precision, Record, Weights, WeightsError, initialise, replace, write_atomically};
+use adam::Adam;
+use checkpoint::{Checkpoint, Progress};
+use metrics::{Line, Metrics};
+use step::{detector_loss, matcher_loss};
+
+/// What is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Task {
+    /// The detector alone.
+    #[default]
+    Detector,
+    /// The matcher, with a detector that stays as it is.
+    Matcher,
+    /// Both.
+    Joint,
+}
+
+/// Everything a run depends on, except the weights it starts from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainSettings {
+    /// What is trained.
+    pub task: Task,
+    /// Steps in all.
+    pub steps: u64,
+    /// Highest learning rate: reached after the first steps, falling to a hundredth as a cosine.
+    pub learning_rate: f64,
+    /// Steps over which the learning rate rises.
+    pub warm_up: u64,
+    /// Seed of weights and data.
+    pub seed: u64,
+    /// Steps between lines of `metrics.jsonl`.
+    pub report_every: u64,
+    /// Steps between checkpoints.
+    pub checkpoint_every: u64,
+    /// Steps between validations.
+    pub validate_every: u64,
+    /// Validation crops.
+    pub validation_count: usize,
+    /// The detector.
+    pub detector: DetectorConfig,
+    /// The matcher.
+    pub matcher: MatcherConfig,
+    /// Weights of the loss's terms.
+    pub losses: LossWeights,
+    /// Where batches come from.
+    pub data: DataSettings,
+}
+
+impl Default for TrainSettings {
+    fn default() -> Self {
+        Self {
+            task: Task::Detector,
+            steps: 2000,
+            learning_rate: 1e-3,
+            warm_up: 50,
+            seed: 1,
+            report_every: 20,
+            checkpoint_every: 100,
+            validate_every: 250,
+            validation_count: 16,
+            detector: DetectorConfig::default(),
+            matcher: MatcherConfig::default(),
+            losses: LossWeights::default(),
+            data: DataSettings::default(),
+        }
+    }
+}
+
+/// Why a training stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// Settings that no network can have.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// No data.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// Weights to start from.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// A file cannot be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Settings that cannot be understood.
+    #[error("{path}: {source}")]
+    Settings {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: toml::de::Error,
+    },
+    /// Nothing to go on from.
+    #[error("{0} has no checkpoint; start the run again without --resume")]
+    NoCheckpoint(PathBuf),
+    /// A checkpoint that cannot be used.
+    #[error("{path} is damaged: {why}; remove it to go on from the one before")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// A folder that is in use.
+    #[error("{0} holds a training run; go on with --resume {0}, or give another folder")]
+    Occupied(PathBuf),
+    /// The matcher needs to see what a detector finds.
+    #[error("a matcher is trained on what a detector finds; give its weights with --detector FILE")]
+    NoDetector,
+    /// The loss is no number.
+    #[error(
+        "the loss is {loss} at step {step}; the last good weights are those of the last checkpoint in {folder}: go on from it with a \
+         lower learning-rate"
+    )]
+    NotFinite {
+        /// The loss.
+        loss: f64,
+        /// The step.
+        step: u64,
+        /// The run.
+        folder: PathBuf,
+    },
+}
+
+/// What a run reports.
+#[derive(Clone, Debug)]
+pub enum Event<'a> {
+    /// A line was added to the metrics.
+    Line {
+        /// The line.
+        line: &'a Line,
+        /// Steps in all.
+        steps: u64,
+    },
+    /// A checkpoint was written.
+    Saved(&'a Path),
+}
+
+pub use metrics::Line as MetricsLine;
+
+/// A training run.
+pub struct Run {
+    settings: TrainSettings,
+    folder: PathBuf,
+    networks: Networks,
+    adam: Adam,
+    progress: Progress,
+    metrics: Metrics,
+    record: Record,
+    device: Device,
+}
+
+impl Run {
+    /// A new run in a folder, from given weights or from random ones.
+    ///
+    /// # Errors
+    /// Where the folder holds a run already, or weights are missing or do not fit.
+    pub fn start(
+        mut settings: TrainSettings,
+        folder: &Path,
+        from: &[(PathBuf, Weights)],
+        device: Device,
+    ) -> Result<Self, TrainError> {
+        let io = |source| TrainError::Io { path: folder.into(), source };
+        if folder.join("train.toml").exists() {
+            return Err(TrainError::Occupied(folder.into()));
+        }
+        for (_, weights) in from {
+            match &weights.network {
+                NetworkConfig::Detector(config) => settings.detector = config.clone(),
+                NetworkConfig::Matcher(config) => settings.matcher = config.clone(),
+            }
+        }
+        let mut record = Record::new();
+        let mut networks = Self::networks(&settings, &device)?;
+        networks = initialise(networks, settings.seed);
+        let mut detector = false;
+        for (path, weights) in from {
+            record.insert(format!("from-{}", weights.network.word()), weights.sha256.clone());
+            match &weights.network {
+                NetworkConfig::Detector(_) => {
+                    networks.detector = weights.load_into(networks.detector, path)?;
+                    detector = true;
+                }
+                NetworkConfig::Matcher(_) => {
+                    let matcher = networks.matcher.take().map(|matcher| weights.load_into(matcher, path));
+                    networks.matcher = matcher.transpose()?;
+                }
+            }
+        }
+        if settings.task == Task::Matcher && !detector {
+            return Err(TrainError::NoDetector);
+        }
+        fs::create_dir_all(folder).map_err(io)?;
+        let text = toml::to_string_pretty(&settings).expect("plain data has a TOML form");
+        write_atomically(&folder.join("train.toml"), text.as_bytes()).map_err(io)?;
+        let run = Self {
+            settings,
+            folder: folder.into(),
+            networks,
+            adam: Adam::default(),
+            progress: Progress::default(),
+            metrics: Metrics::default(),
+            record,
+            device,
+        };
+        // So that a run can be resumed from its first step, and a lost first checkpoint never means other weights.
+        run.checkpoint()?;
+        Ok(run)
+    }
+
+    /// The run of a folder, from its last checkpoint. `steps` sets another end.
+    ///
+    /// # Errors
+    /// Where there is no run, or its files are damaged.
+    pub fn resume(folder: &Path, steps: Option<u64>, device: Device) -> Result<Self, TrainError> {
+        let path = folder.join("train.toml");
+        let text = fs::read_to_string(&path).map_err(|source| TrainError::Io { path: path.clone(), source })?;
+        let mut settings: TrainSettings =
+            toml::from_str(&text).map_err(|source| TrainError::Settings { path: path.clone(), source })?;
+        settings.steps = steps.unwrap_or(settings.steps);
+        let checkpoint = Checkpoint::newest(folder)?;
+        let networks = Self::networks(&settings, &device)?;
+        let networks = replace(networks, |name, shape| {
+            let found = checkpoint.weights.get(name)?;
+            (found.shape == shape).then(|| found.values.clone())
+        });
+        let adam = Adam::from_named(&checkpoint.moments, checkpoint.progress.time, &device);
+        let metrics = Metrics::read(folder, checkpoint.progress.step);
+        let progress = checkpoint.progress;
+        Ok(Self { settings, folder: folder.into(), networks, adam, progress, metrics, record: Record::new(), device })
+    }
+
+    fn networks(settings: &TrainSettings, device: &Device) -> Result<Networks, TrainError> {
+        settings.detector.validate()?;
+        settings.matcher.validate()?;
+        let matcher = (settings.task != Task::Detector).then_some(&settings.matcher);
+        Ok(Networks::new(&settings.detector, matcher, &device.clone().autodiff()))
+    }
+
+    /// The settings, with the configurations of the weights it started from.
+    pub fn settings(&self) -> &TrainSettings {
+        &self.settings
+    }
+
+    /// Steps done.
+    pub fn step(&self) -> u64 {
+        self.progress.step
+    }
+
+    /// Trains up to the last step, or until `report` says no; then saves.
+    ///
+    /// # Errors
+    /// Where data cannot be made, files not be written, or the loss is no number any more.
+    pub fn train(&mut self, report: &mut dyn FnMut(&Event<'_>) -> bool) -> Result<(), TrainError> {
+        let task = if self.settings.task == Task::Detector { DataTask::Detector } else { DataTask::Matcher };
+        let (data, seed) = (&self.settings.data, self.settings.seed);
+        let validation = validation(data, task, self.settings.validation_count)?;
+        let mut queue = Queue::start(data, task, seed, self.progress.step)?;
+        let mut sums: BTreeMap<String, (f64, u64)> = BTreeMap::new();
+        let start = Instant::now();
+        let before = self.progress.seconds;
+        while self.progress.step < self.settings.steps {
+            let batch = queue.next_batch()?;
+            let rate = self.rate();
+            for (name, value) in self.learn(&batch, rate)? {
+                let sum = sums.entry(name.to_owned()).or_default();
+                *sum = (sum.0 + value, sum.1 + 1);
+            }
+            self.progress.step += 1;
+            self.progress.seconds = before + start.elapsed().as_secs_f64();
+            let (step, last) = (self.progress.step, self.progress.step == self.settings.steps);
+            let mut go_on = true;
+            if last || step.is_multiple_of(self.settings.report_every.max(1)) {
+                let means = std::mem::take(&mut sums);
+                let means = means.into_iter().map(|(name, (sum, count))| (name, sum / count as f64)).collect();
+                go_on = self.report("train", rate, means, report)?;
+            }
+            if last || step.is_multiple_of(self.settings.validate_every.max(1)) {
+                let values = validate(&self.networks.valid(), &validation, &self.settings, &self.device);
+                let score = values.get("error").copied().unwrap_or(f64::INFINITY);
+                go_on &= self.report("validation", rate, values, report)?;
+                if self.progress.best.is_none_or(|(best, _)| score < best) {
+                    self.progress.best = Some((score, step));
+                    self.write_weights("best")?;
+                }
+            }
+            if last || !go_on || step.is_multiple_of(self.settings.checkpoint_every.max(1)) {
+                let path = self.checkpoint()?;
+                self.write_weights("last")?;
+                go_on &= report(&Event::Saved(&path));
+            }
+            if !go_on {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// One step: the parts of the loss by name.
+    fn learn(&mut self, batch: &Batch, rate: f64) -> Result<Vec<(&'static str, f64)>, TrainError> {
+        let device = self.device.clone().autodiff();
+        let joint = self.settings.task == Task::Joint;
+        let loss = match &self.networks.matcher {
+            Some(matcher) => {
+                matcher_loss(&self.networks.detector, matcher, batch, &self.settings, joint, &device)
+            }
+            None => detector_loss(&self.networks.detector, batch, &self.settings, &device),
+        };
+        let value = loss.value();
+        if !value.is_finite() {
+            let (step, folder) = (self.progress.step, self.folder.clone());
+            return Err(TrainError::NotFinite { loss: value, step, folder });
+        }
+        let mut parts = loss.parts;
+        parts.push(("loss", value));
+        if let Some(total) = loss.total {
+            let gradients = GradientsParams::from_grads(total.backward(), &self.networks);
+            self.networks = self.adam.step(self.networks.clone(), gradients, rate);
+        }
+        Ok(parts)
+    }
+
+    fn rate(&self) -> f64 {
+        let Self { settings, progress, .. } = self;
+        let (step, warm_up) = (progress.step as f64 + 1.0, settings.warm_up as f64);
+        if step < warm_up {
+            return settings.learning_rate * step / warm_up;
+        }
+        let done = ((step - warm_up) / (settings.steps as f64 - warm_up).max(1.0)).clamp(0.0, 1.0);
+        settings.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()))
+    }
+
+    fn report(
+        &mut self,
+        kind: &str,
+        rate: f64,
+        values: BTreeMap<String, f64>,
+        report: &mut dyn FnMut(&Event<'_>) -> bool,
+    ) -> Result<bool, TrainError> {
+        let Progress { step, seconds, .. } = self.progress;
+        let line = Line { step, kind: kind.into(), rate, seconds, values };
+        let go_on = report(&Event::Line { line: &line, steps: self.settings.steps });
+        self.metrics.0.push(line);
+        self.metrics.write(&self.folder)?;
+        Ok(go_on)
+    }
+
+    fn checkpoint(&self) -> Result<PathBuf, TrainError> {
+        let progress = Progress { time: self.adam.time, ..self.progress.clone() };
+        let weights = crate::weights::collect(&self.networks);
+        Checkpoint { progress, weights, moments: self.adam.to_named() }.write(&self.folder)
+    }
+
+    /// Writes `NAME.safetensors`, or one file for each network of a joint run: `NAME-detector`, `NAME-matcher`.
+    fn write_weights(&self, name: &str) -> Result<(), TrainError> {
+        let mut record = self.record.clone();
+        record.insert("steps".into(), self.progress.step.to_string());
+        record.insert("seconds".into(), format!("{:.0}", self.progress.seconds));
+        record.insert("version".into(), env!("CARGO_PKG_VERSION").into());
+        record.insert("settings".into(), toml::to_string(&self.settings).expect("plain data has a TOML form"));
+        if let Some(line) = self.metrics.0.iter().rev().find(|line| line.kind == "validation") {
+            record.insert("validation".into(), serde_json::to_string(&line.values).expect("plain data"));
+        }
+        let networks = self.networks.valid();
+        let detector = || NetworkConfig::Detector(self.settings.detector.clone());
+        let matcher = || NetworkConfig::Matcher(self.settings.matcher.clone());
+        let path = |suffix: &str| self.folder.join(format!("{name}{suffix}.safetensors"));
+        let both = self.settings.task == Task::Joint;
+        if self.settings.task != Task::Matcher {
+            let weights = Weights::of(&networks.detector, detector(), record.clone());
+            weights.write(&path(if both { "-detector" } else { "" }), Precision::Single)?;
+        }
+        if let Some(network) = &networks.matcher {
+            let weights = Weights::of(network, matcher(), record);
+            weights.write(&path(if both { "-matcher" } else { "" }), Precision::Single)?;
+        }
+        Ok(())
+    }
+}
