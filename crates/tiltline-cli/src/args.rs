@@ -31,6 +31,8 @@ pub enum Command {
     Bench(Box<crate::bench::Bench>),
     /// Check a data set, or add images labelled by hand to one.
     Dataset(crate::dataset::DatasetArgs),
+    /// Train networks on simulated foils or on labelled images.
+    Train(Box<crate::train::Train>),
     /// Say what is in a micrograph or series: size, type, pixel size, tilts, range, warnings.
     Info(Info),
     /// Print a completion script for a shell.

@@ -30,14 +30,28 @@ pub fn resumable() {
     RESUMABLE.store(true, Ordering::Relaxed);
 }
 
+/// Whether the command stops by itself when asked to, and whether it was asked.
+static STOPS: AtomicBool = AtomicBool::new(false);
+static ASKED: AtomicBool = AtomicBool::new(false);
+
+/// From now on the first signal only sets the flag that is returned; a second one ends the program.
+pub fn ask_to_stop() -> &'static AtomicBool {
+    STOPS.store(true, Ordering::Relaxed);
+    &ASKED
+}
+
 /// Exit code of an interrupted run, as shells expect it (128 + SIGINT).
-const INTERRUPTED: i32 = 130;
+pub const INTERRUPTED: i32 = 130;
 /// Writers that are still at work may add a file while the folder is being removed.
 const REMOVALS: usize = 20;
 
 /// Installs the handler.
 pub fn install() -> Result<()> {
     ctrlc::set_handler(|| {
+        if STOPS.load(Ordering::Relaxed) && !ASKED.swap(true, Ordering::Relaxed) {
+            eprintln!("stopping after this step; once more to stop at once");
+            return;
+        }
         // Held until the process ends. A move into place holds it too: it is finished first, or never begins.
         let writing = WRITING.lock();
         let message = match writing.as_deref() {

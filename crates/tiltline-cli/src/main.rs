@@ -14,6 +14,7 @@ mod reconstruct;
 mod score;
 mod simulate;
 mod summary;
+mod train;
 
 use std::process::ExitCode;
 
@@ -39,6 +40,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Score(flags) => score::run(&flags),
         Command::Bench(flags) => bench::run(&flags),
         Command::Dataset(flags) => dataset::run(&flags),
+        Command::Train(flags) => train::run(&flags),
         Command::Info(flags) => info::run(&flags),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -36,6 +36,7 @@ mod coupling;
 mod fold;
 mod gather;
 mod lanes;
+mod memory;
 mod norm;
 mod outer;
 mod path;
@@ -48,6 +49,7 @@ mod transposed;
 
 pub use conv::{Activation, Conv};
 pub use fold::{BatchNormStatistics, fold_batch_norm};
+pub use memory::keep_freed_memory;
 pub use norm::{BatchNorm, BatchNormGradients, Normalised};
 pub use path::{Instructions, Path};
 pub use pool::MaxPool;

@@ -5,6 +5,7 @@
 pub mod config;
 pub mod data;
 pub mod detector;
+pub mod device;
 pub mod layers;
 pub mod losses;
 pub mod matcher;

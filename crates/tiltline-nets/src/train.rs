@@ -5,6 +5,7 @@
 
 mod adam;
 mod checkpoint;
+mod memory;
 mod metrics;
 mod step;
 
@@ -283,6 +284,11 @@ impl Run {
     /// Steps done.
     pub fn step(&self) -> u64 {
         self.progress.step
+    }
+
+    /// What a step will take, for a reader; warns where the machine has less.
+    pub fn needs(&self) -> String {
+        memory::described(&self.settings)
     }
 
     /// Trains up to the last step, or until `report` says no; then saves.
