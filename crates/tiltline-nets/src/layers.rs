@@ -85,6 +85,8 @@ impl<const D: usize> ConvNorm<D> {
             let new = new.detach().inner();
             let old = if old.device().is_autodiff() { old.inner() } else { old };
             running.update(old.mul_scalar(1.0 - momentum).add(new.mul_scalar(momentum)));
+            // At once: burn would keep it back until the next update, and a checkpoint would miss it.
+            running.value_sync();
         }
         output
     }
@@ -97,5 +99,38 @@ impl<const D: usize> ConvNorm<D> {
         let mut shape = [1; D];
         shape[if self.conv.kernel == Kernel::Double { 1 } else { 0 }] = scale.dims()[0];
         convolve(self.conv.kernel, input, self.conv.weight.val().mul(scale.reshape(shape)), Some(bias), self.relu)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::weights::initialise;
+    use burn::tensor::TensorData;
+
+    /// Trained long enough on one batch, running statistics are those of the batch: inference then gives what training gave, but for
+    /// the unbiased variance (512 values here: 0.1 percent of the deviation).
+    fn inference_agrees<const D: usize>(kernel: Kernel, shape: [usize; D]) {
+        let device = Device::flex().autodiff();
+        let layer = initialise(ConvNorm::<D>::new(kernel, [shape[1], 3], &device), 1);
+        let count = shape.iter().product();
+        let values: Vec<f32> = (0..count).map(|index| ((index * 7919) % 101) as f32 / 25.0 - 1.0).collect();
+        let input = Tensor::<D>::from_data(TensorData::new(values, shape), &device);
+        let mut trained = Vec::new();
+        for _ in 0..150 {
+            trained = layer.forward(input.clone()).inner().into_data().try_to_vec::<f32>().unwrap();
+        }
+        let inferred: Vec<f32> = layer.valid().forward(input.inner()).into_data().try_to_vec().unwrap();
+        assert!(trained.iter().any(|value| *value > 0.5));
+        for (trained, inferred) in trained.iter().zip(&inferred) {
+            assert!((trained - inferred).abs() < 0.01, "{trained} in training, {inferred} at inference");
+        }
+    }
+
+    #[test]
+    fn inference_agrees_with_training() {
+        inference_agrees(Kernel::Same { stride: 1 }, [2, 2, 16, 16]);
+        inference_agrees(Kernel::Same { stride: 2 }, [2, 2, 8, 16, 16]);
+        inference_agrees(Kernel::Double, [2, 3, 4, 8, 8]);
     }
 }

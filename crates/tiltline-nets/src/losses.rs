@@ -30,7 +30,7 @@ pub struct LossWeights {
 
 impl Default for LossWeights {
     fn default() -> Self {
-        Self { disparity: 1.0, variance: 0.0, entropy: 0.5, warp: 0.0, detection: 1.0, line: 2.0 }
+        Self { disparity: 1.0, variance: 0.0, entropy: 0.5, warp: 0.0, detection: 1.0, line: 3.0 }
     }
 }
 

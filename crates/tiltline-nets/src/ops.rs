@@ -217,3 +217,6 @@ pub fn max_pool(input: Tensor<4>) -> Tensor<4> {
         burn::tensor::module::max_pool2d(input, MaxPoolOptions::new([2; 2]).with_stride([2; 2]))
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -19,6 +19,8 @@ use super::{DataError, DataSettings};
 
 /// Rows of both sides of a labelled match may differ by this much, px.
 const SAME_ROW_PX: f64 = 2.0;
+/// Lines are asked for where their contrast is this many times what counts as visible in scores.
+const SURELY_VISIBLE: f64 = 2.0;
 
 /// A stereo pair on a rectified grid.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,12 +60,15 @@ impl Example {
         let half = 0.5 * (low + (high - low) * rng.random_range(0.0..1.0));
         let half = if rng.random_range(0..2) == 0 { half } else { -half };
         let mid = settings.mid_tilt_deg * rng.random_range(-1.0..1.0);
+        let family = SimulateSettings::of_family(family);
         let simulate = SimulateSettings {
             mode: if physics { Mode::Physics } else { Mode::Parametric },
             size_px: settings.simulated_px,
             tilts_deg: vec![mid - half, mid + half],
             alignment: AlignmentSettings { shift: 0.0, axis_deg: 0.0, turn_deg: 0.0, scale: 0.0 },
-            ..SimulateSettings::of_family(family)
+            // Lines that are hardly seen are left open: asked for, they would teach to see lines in noise.
+            visible_above_noise: SURELY_VISIBLE * family.visible_above_noise,
+            ..family
         };
         let sample = sample(&simulate, Lines::Random, geometry_seed(split, index))?;
         let images = [0, 1].map(|view| Micrograph::new(sample.views[view].recording.image.clone()).normalised());

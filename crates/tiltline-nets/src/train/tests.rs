@@ -64,7 +64,7 @@ fn a_resumed_run_goes_on_as_if_it_had_not_stopped() {
         drop(run);
         assert_eq!(first, straight[..5]);
         // As after kill -9 between checkpoints: the newest is of step 3.
-        std::fs::remove_file(at("cut").join("checkpoint-00000005.safetensors")).unwrap();
+        fs::remove_file(at("cut").join("checkpoint-00000005.safetensors")).unwrap();
         let mut run = Run::resume(&at("cut"), None, device).unwrap();
         assert_eq!(run.step(), 3);
         assert_eq!(losses(&mut run, None), straight[3..], "{task:?}");

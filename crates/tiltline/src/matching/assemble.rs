@@ -23,7 +23,7 @@ pub(crate) const SLOPE_SIGMA: f64 = 0.14;
 
 /// What was measured at a point of a left line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Measured {
+pub struct Measured {
     /// Disparity, px.
     pub disparity_px: f64,
     /// Error of it from tracing, px; without the row error.
@@ -36,7 +36,7 @@ pub(crate) struct Measured {
 ///
 /// `sigma_row_px` is the error of the rectification, `spread_px` the one-sigma spread of all disparities, the most that a
 /// sigma can be.
-pub(crate) fn assemble(
+pub fn assemble(
     left_trace: usize,
     trace: &Trace,
     measured: &[Option<Measured>],

@@ -22,6 +22,7 @@ pub(crate) mod tests;
 use serde::{Deserialize, Serialize};
 
 use crate::curve::{LineMap, MatchedCurve, TraceGraph};
+pub use assemble::{Measured, assemble};
 pub use known_traces::{TraceFaults, known_traces, trace_through};
 pub use unmatched::unmatched_lines;
 

@@ -1,0 +1,244 @@
+//! The networks in the main job: [`NetDetector`] finds lines, [`NetMatcher`] their disparities.
+//!
+//! Large images are worked on in tiles with margins as wide as the networks' fields of view, so that memory is bounded and results
+//! do not depend on the tiles.
+
+mod costs;
+mod curves;
+mod tiles;
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::{Device, Tensor, TensorData};
+use ndarray::{Array2, s};
+use tiltline::curve::{LineMap, MatchedCurve, TraceGraph};
+use tiltline::dataset::LINE_WIDTH_PX;
+use tiltline::matching::MatchSettings;
+use tiltline::micrograph::View;
+use tiltline::pipeline::{Detect, Match};
+use tiltline::rectify::RectifiedPair;
+
+use crate::config::{DetectorConfig, MatcherConfig, MatcherInput};
+use crate::detector::{Detected, Detector};
+use crate::matcher::Matcher;
+use crate::networks::matcher_input;
+use crate::score::probability;
+use crate::weights::{NetworkConfig, Weights, WeightsError};
+use costs::Costs;
+use tiles::{Tile, tiles};
+
+/// Side of a tile without its margins, px.
+const TILE_PX: usize = 512;
+/// Margin of the matcher's tiles, px: its field of view and the largest disparity.
+const MATCHER_MARGIN_PX: usize = 128;
+
+/// Weights as a file or as part of the program, with a name for messages.
+#[derive(Clone, Debug)]
+pub struct Named {
+    /// File or "built in".
+    pub path: PathBuf,
+    /// The weights.
+    pub weights: Weights,
+}
+
+/// The detector that is part of the program.
+const DETECTOR: &[u8] = include_bytes!("../weights/detector.safetensors");
+/// The matcher that is part of the program.
+const MATCHER: &[u8] = include_bytes!("../weights/matcher.safetensors");
+
+impl Named {
+    /// From a file.
+    ///
+    /// # Errors
+    /// As for [`Weights::read`].
+    pub fn read(path: &Path) -> Result<Self, WeightsError> {
+        Ok(Self { path: path.into(), weights: Weights::read(path)? })
+    }
+
+    /// The detector that is part of the program.
+    ///
+    /// # Errors
+    /// Never, unless the program was built from damaged files.
+    pub fn built_in_detector() -> Result<Self, WeightsError> {
+        Self::built_in("built-in detector", DETECTOR)
+    }
+
+    /// The matcher that is part of the program.
+    ///
+    /// # Errors
+    /// Never, unless the program was built from damaged files.
+    pub fn built_in_matcher() -> Result<Self, WeightsError> {
+        Self::built_in("built-in matcher", MATCHER)
+    }
+
+    fn built_in(name: &str, bytes: &[u8]) -> Result<Self, WeightsError> {
+        let path = PathBuf::from(name);
+        Ok(Self { weights: Weights::from_bytes(bytes, &path)?, path })
+    }
+}
+
+/// An image as `[1, 1, H, W]`, 0 where there is no data.
+fn tensor(image: &Array2<f32>, device: &Device) -> Tensor<4> {
+    let (rows, columns) = image.dim();
+    let values: Vec<f32> = image.iter().map(|value| if value.is_finite() { *value } else { 0.0 }).collect();
+    Tensor::from_data(TensorData::new(values, [1, 1, rows, columns]), device)
+}
+
+/// A part of an image, 0 beyond its borders.
+fn cut(image: &Array2<f32>, rows: &Tile, columns: &Tile) -> Array2<f32> {
+    let mut part = Array2::zeros((rows.length, columns.length));
+    let last = |tile: &Tile, count: usize| (tile.start + tile.length).min(count);
+    let (bottom, right) = (last(rows, image.nrows()), last(columns, image.ncols()));
+    part.slice_mut(s![..bottom - rows.start, ..right - columns.start])
+        .assign(&image.slice(s![rows.start..bottom, columns.start..right]));
+    part
+}
+
+/// The U-Net as a detector.
+#[derive(Debug)]
+pub struct NetDetector {
+    network: Detector,
+    config: DetectorConfig,
+    device: Device,
+}
+
+impl NetDetector {
+    /// The detector of some weights.
+    ///
+    /// # Errors
+    /// Where the weights are another network's, or damaged.
+    pub fn new(named: &Named, device: &Device) -> Result<Self, WeightsError> {
+        let NetworkConfig::Detector(config) = &named.weights.network else {
+            return Err(named.weights.kind_error("detector", &named.path));
+        };
+        let network = named.weights.load_into(Detector::new(config, device), &named.path)?;
+        Ok(Self { network, config: config.clone(), device: device.clone() })
+    }
+
+    /// Furthest that a pixel can matter to another, px, as a multiple of what sides must be: two convolutions on the way down
+    /// and two on the way up at each level, and the two of the bottom.
+    fn margin_px(&self) -> usize {
+        let field: usize = (0..self.config.depth).map(|level| 5 << level).sum::<usize>() + (2 << self.config.depth);
+        field.next_multiple_of(self.config.multiple())
+    }
+
+    /// Line probability `[row, column]` of a normalised image.
+    pub fn probability(&self, image: &Array2<f32>) -> Array2<f32> {
+        let mut result = Array2::zeros(image.dim());
+        let along = |count| tiles(count, TILE_PX, self.margin_px(), self.config.multiple());
+        for rows in along(image.nrows()) {
+            for columns in along(image.ncols()) {
+                let part = cut(image, &rows, &columns);
+                let shape = part.dim();
+                let values = probability(self.network.forward(tensor(&part, &self.device)).logits);
+                let values = Array2::from_shape_vec(shape, values).expect("a probability for each pixel");
+                result
+                    .slice_mut(s![rows.keep.clone(), columns.keep.clone()])
+                    .assign(&values.slice(s![rows.inner(), columns.inner()]));
+            }
+        }
+        result.zip_mut_with(image, |value, pixel| {
+            if !pixel.is_finite() {
+                *value = 0.0;
+            }
+        });
+        result
+    }
+}
+
+impl Detect for NetDetector {
+    fn detect(&self, pair: &RectifiedPair, view: View) -> LineMap {
+        // Whatever the width of a line, the network was taught to mark its middle.
+        LineMap { probability: self.probability(pair.view(view)), line_width_px: LINE_WIDTH_PX }
+    }
+}
+
+/// The 3D network as a matcher.
+#[derive(Debug)]
+pub struct NetMatcher {
+    network: Matcher,
+    config: MatcherConfig,
+    /// For a matcher that looks at a detector's features.
+    detector: Option<NetDetector>,
+    device: Device,
+    /// The range that is looked for.
+    settings: MatchSettings,
+}
+
+impl NetMatcher {
+    /// The matcher of some weights, and the detector whose features it was trained on, if it was.
+    ///
+    /// # Errors
+    /// Where the weights are another network's, or damaged.
+    pub fn new(
+        named: &Named,
+        detector: Option<NetDetector>,
+        settings: MatchSettings,
+        device: &Device,
+    ) -> Result<Self, WeightsError> {
+        let NetworkConfig::Matcher(config) = &named.weights.network else {
+            return Err(named.weights.kind_error("matcher", &named.path));
+        };
+        let network = named.weights.load_into(Matcher::new(config, device), &named.path)?;
+        let detector = detector.filter(|_| config.input == MatcherInput::Features);
+        if config.input == MatcherInput::Features && detector.is_none() {
+            let why = "it was trained on the features of a detector, which must be given too".into();
+            return Err(WeightsError::Mismatch { path: named.path.clone(), why });
+        }
+        Ok(Self { network, config: config.clone(), detector, device: device.clone(), settings })
+    }
+
+    fn input(&self, image: &Array2<f32>, lines: &Array2<f32>) -> Tensor<4> {
+        let images = tensor(image, &self.device);
+        match &self.detector {
+            Some(detector) => matcher_input(images.clone(), detector.network.forward(images), &self.config),
+            None => {
+                // Back to log-odds, which `matcher_input` takes.
+                let odds = lines.mapv(|p| {
+                    let p = p.clamp(1e-6, 1.0 - 1e-6);
+                    (p / (1.0 - p)).ln()
+                });
+                let logits = tensor(&odds, &self.device);
+                matcher_input(images.clone(), Detected { logits, features: images }, &self.config)
+            }
+        }
+    }
+
+    /// Costs of all disparities near the given left points, and nowhere else if the image is larger than a tile.
+    fn costs(&self, pair: &RectifiedPair, lines: &[LineMap; 2], needed: &Array2<bool>) -> Costs {
+        let mut costs = Costs::new(pair.left.dim(), &self.config);
+        let along = |count| tiles(count, TILE_PX, MATCHER_MARGIN_PX, self.config.multiple());
+        for rows in along(pair.left.nrows()) {
+            for columns in along(pair.left.ncols()) {
+                if !needed.slice(s![rows.keep.clone(), columns.keep.clone()]).iter().any(|needed| *needed) {
+                    continue;
+                }
+                let input = |image: &Array2<f32>, lines: &LineMap| {
+                    self.input(&cut(image, &rows, &columns), &cut(&lines.probability, &rows, &columns))
+                };
+                let (left, right) = (input(&pair.left, &lines[0]), input(&pair.right, &lines[1]));
+                let cost = self.network.forward(left, right).pop().expect("there is a hourglass at least");
+                costs.put(cost, &rows, &columns);
+            }
+        }
+        costs
+    }
+}
+
+impl Match for NetMatcher {
+    fn match_curves(&self, pair: &RectifiedPair, lines: &[LineMap; 2], traces: &[TraceGraph; 2]) -> Vec<MatchedCurve> {
+        let mut needed = Array2::from_elem(pair.left.dim(), false);
+        for point in traces[0].traces.iter().flat_map(|trace| &trace.points) {
+            let (row, column) = (point.position.y.round().max(0.0) as usize, point.position.x.round().max(0.0) as usize);
+            if let Some(pixel) = needed.get_mut([row, column]) {
+                *pixel = true;
+            }
+        }
+        let costs = self.costs(pair, lines, &needed);
+        let range_px = self.settings.range_px(&pair.rectification);
+        curves::match_traces(&costs, &lines[1], &traces[0], &pair.rectification, range_px)
+    }
+}
+
+#[cfg(test)]
+mod tests;
