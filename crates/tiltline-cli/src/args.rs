@@ -82,6 +82,15 @@ pub struct Reconstruct {
 /// How lines are found and matched: the same for one pair and for a benchmark.
 #[derive(Clone, Debug, Args)]
 pub struct Method {
+    /// What finds lines.
+    #[arg(long, value_name = "KIND")]
+    pub detector: Option<crate::method::Detector>,
+    /// What finds disparities.
+    #[arg(long, value_name = "KIND")]
+    pub matcher: Option<crate::method::Matcher>,
+    /// Weights of a network, a detector's or a matcher's (both: repeat it), instead of those that are part of the program.
+    #[arg(long, value_name = "FILE")]
+    pub weights: Vec<PathBuf>,
     /// Whether lines are darker or brighter than what surrounds them.
     #[arg(long, value_name = "CONTRAST")]
     pub lines: Option<Lines>,

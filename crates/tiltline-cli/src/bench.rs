@@ -14,6 +14,7 @@ use tiltline::simulate::Lines;
 use crate::args::{Method, Verbosity};
 use crate::config::Config;
 use crate::interrupt;
+use crate::method::Stages;
 use crate::output;
 use crate::progress::Count;
 use crate::reconstruct::{method, reconstruct};
@@ -134,13 +135,14 @@ pub fn run(flags: &Bench) -> Result<()> {
     let config = method(&flags.method)?;
     config.settings.validate().into_diagnostic()?;
     let (dataset, data) = data(flags)?;
+    let stages = Stages::new(&config.method, &config.settings)?;
     let record = Record {
         set: dataset.manifest.name.clone().unwrap_or_else(|| flags.set.clone()),
         data,
         data_sha256: dataset.manifest.content_hash(),
         version: env!("CARGO_PKG_VERSION").into(),
-        detector: "ridge".into(),
-        matcher: "classical".into(),
+        detector: stages.names[0].clone(),
+        matcher: stages.names[1].clone(),
         settings: config.settings.clone(),
     };
     begin(&flags.output, &record)?;
@@ -150,7 +152,7 @@ pub fn run(flags: &Bench) -> Result<()> {
     let mut failed = 0;
     for (index, item) in items.iter().enumerate() {
         count.show(index, items.len());
-        failed += usize::from(!reconstructed(&dataset, item, &config, &flags.output)?);
+        failed += usize::from(!reconstructed(&dataset, item, &config, &stages, &flags.output)?);
     }
     count.clear();
     let folder = flags.output.display();
@@ -216,7 +218,7 @@ fn begin(folder: &Path, record: &Record) -> Result<()> {
 }
 
 /// Reconstructs an item unless that was done; false where it cannot be.
-fn reconstructed(dataset: &Dataset, item: &Item, config: &Config, folder: &Path) -> Result<bool> {
+fn reconstructed(dataset: &Dataset, item: &Item, config: &Config, stages: &Stages, folder: &Path) -> Result<bool> {
     let target = result_folder(folder, item);
     if target.exists() {
         return Ok(!target.join(FAILED).is_file());
@@ -229,7 +231,7 @@ fn reconstructed(dataset: &Dataset, item: &Item, config: &Config, folder: &Path)
         config.acquisition.tilts_deg =
             Some([tilts.left_rad, tilts.right_rad].map(|tilt| (tilt.to_degrees() * 1e6).round() / 1e6));
     }
-    match reconstruct([&images[0], &images[1]], &mut config, &target, false, &|_| {}) {
+    match reconstruct([&images[0], &images[1]], &mut config, stages, &target, false, &|_| {}) {
         Ok(_) => Ok(true),
         Err(error) => {
             std::fs::create_dir_all(&target).into_diagnostic()?;

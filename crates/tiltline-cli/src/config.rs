@@ -7,6 +7,8 @@ use miette::{IntoDiagnostic, Result, WrapErr, miette};
 use serde::{Deserialize, Serialize};
 use tiltline::settings::Settings;
 
+use crate::method::MethodSettings;
+
 /// What is known about the pair beside its pixels.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -22,11 +24,13 @@ pub struct Acquisition {
     pub tilt_axis_deg: Option<f64>,
 }
 
-/// A settings file: `[acquisition]`, the library's settings, and `[run]`, which is a record and has no effect.
+/// A settings file: `[acquisition]`, `[method]`, the library's settings, and `[run]`, which is a record and has no effect.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Config {
     /// What is known about the pair.
     pub acquisition: Acquisition,
+    /// Which detector and matcher.
+    pub method: MethodSettings,
     /// The library's settings.
     pub settings: Settings,
 }
@@ -47,8 +51,12 @@ impl Config {
             Some(section) => section.try_into().map_err(|error| miette!("[acquisition] {error}"))?,
             None => Acquisition::default(),
         };
+        let method = match table.remove("method") {
+            Some(section) => section.try_into().map_err(|error| miette!("[method] {error}"))?,
+            None => MethodSettings::default(),
+        };
         let settings = table.try_into().into_diagnostic()?;
-        Ok(Self { acquisition, settings })
+        Ok(Self { acquisition, method, settings })
     }
 }
 
@@ -58,9 +66,9 @@ pub struct RunRecord {
     /// Version of the program.
     pub version: &'static str,
     /// Name of the detector.
-    pub detector: &'static str,
+    pub detector: String,
     /// Name of the matcher.
-    pub matcher: &'static str,
+    pub matcher: String,
     /// Path and SHA-256 of the left file.
     pub left: tiltline::micrograph::Source,
     /// Path and SHA-256 of the right file.
@@ -73,6 +81,7 @@ pub struct RunRecord {
 pub fn run_toml(config: &Config, record: &RunRecord) -> Result<String> {
     let mut table = toml::Table::try_from(&config.settings).into_diagnostic()?;
     table.insert("acquisition".into(), toml::Value::try_from(&config.acquisition).into_diagnostic()?);
+    table.insert("method".into(), toml::Value::try_from(&config.method).into_diagnostic()?);
     table.insert("run".into(), toml::Value::try_from(record).into_diagnostic()?);
     let body = toml::to_string_pretty(&table).into_diagnostic()?;
     Ok(format!("# Written by tiltline. `tiltline reconstruct LEFT RIGHT --config run.toml` repeats the run.\n\n{body}"))
@@ -100,8 +109,8 @@ mod tests {
         let source = tiltline::micrograph::Source { path: "a \"b\".tif#3".into(), sha256: "00".into() };
         let record = RunRecord {
             version: "0",
-            detector: "ridge",
-            matcher: "classical",
+            detector: "ridge".into(),
+            matcher: "classical".into(),
             left: source.clone(),
             right: source,
             seconds: BTreeMap::from([("read", 0.25)]),

@@ -7,6 +7,7 @@ mod config;
 mod dataset;
 mod info;
 mod interrupt;
+mod method;
 mod output;
 mod progress;
 mod quantity;

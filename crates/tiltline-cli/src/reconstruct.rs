@@ -11,17 +11,17 @@ use miette::{IntoDiagnostic, Result, miette};
 use tiltline::export;
 use tiltline::geometry::TiltPair;
 use tiltline::io::{Found, Reading, parse_tilts, read_micrograph_with};
-use tiltline::matching::ClassicalMatcher;
 use tiltline::micrograph::StereoPair;
 use tiltline::pipeline;
 use tiltline::progress::{Event, Stage};
 use tiltline::refine::Refinement;
-use tiltline::ridge::{LinePolarity, RidgeDetector};
+use tiltline::ridge::LinePolarity;
 use tiltline::warning::Warning;
 
 use crate::args::{Cli, Lines, Method, Reconstruct, Refine};
 use crate::config::{Config, RunRecord, run_toml};
 use crate::interrupt;
+use crate::method::Stages;
 use crate::output;
 use crate::progress::Display;
 use crate::summary::{Provenance, Summary};
@@ -32,7 +32,8 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     export::check_target(&flags.output, flags.force).into_diagnostic()?;
     let display = Display::new(flags.verbosity);
     let images = [flags.left.as_str(), &flags.right];
-    let summary = reconstruct(images, &mut config, &flags.output, flags.force, &|event| display.show(event))?;
+    let stages = Stages::new(&config.method, &config.settings)?;
+    let summary = reconstruct(images, &mut config, &stages, &flags.output, flags.force, &|event| display.show(event))?;
     display.clear();
     if flags.json {
         output::print(&(serde_json::to_string_pretty(&summary).into_diagnostic()? + "\n"))
@@ -45,6 +46,7 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
 pub fn reconstruct(
     images: [&str; 2],
     config: &mut Config,
+    stages: &Stages,
     output: &Path,
     force: bool,
     show: &(dyn Fn(&Event) + Sync),
@@ -59,16 +61,15 @@ pub fn reconstruct(
     let (pair, provenance, mut warnings) = timed(&progress, Stage::Read, || read_pair(images, config))?;
     let sources = [pair.left.source.clone(), pair.right.source.clone()];
     let settings = &config.settings;
-    let detector = RidgeDetector { settings: settings.ridge.clone() };
-    let matcher = ClassicalMatcher { settings: settings.matching.clone() };
-    let mut result = pipeline::reconstruct(pair, &detector, &matcher, settings, &progress).into_diagnostic()?;
+    let mut result =
+        pipeline::reconstruct(pair, &*stages.detector, &*stages.matcher, settings, &progress).into_diagnostic()?;
     warnings.append(&mut result.warnings);
     result.warnings = warnings;
     let [left, right] = sources;
     let record = RunRecord {
         version: env!("CARGO_PKG_VERSION"),
-        detector: "ridge",
-        matcher: "classical",
+        detector: stages.names[0].clone(),
+        matcher: stages.names[1].clone(),
         left,
         right,
         seconds: seconds.lock().expect("no thread panics while it holds the lock").clone(),
@@ -112,6 +113,11 @@ pub fn method(flags: &Method) -> Result<Config> {
         Some(path) => Config::read(path)?,
         None => Config::default(),
     };
+    config.method.detector = flags.detector.unwrap_or(config.method.detector);
+    config.method.matcher = flags.matcher.unwrap_or(config.method.matcher);
+    if !flags.weights.is_empty() {
+        config.method.weights.clone_from(&flags.weights);
+    }
     let settings = &mut config.settings;
     if let Some(lines) = flags.lines {
         settings.ridge.lines = match lines {

@@ -14,8 +14,8 @@ mod tests;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock};
 
-use rand::seq::SliceRandom;
 use rand::RngExt;
+use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 use tiltline::dataset::{Dataset, DatasetError, Item};
@@ -64,6 +64,8 @@ pub struct DataSettings {
     pub batch: usize,
     /// Crops that are taken of each example.
     pub crops_per_example: u64,
+    /// Different examples that are ever seen; 0 for new ones without end.
+    pub examples: u64,
     /// Threads that prepare batches beside the training.
     pub threads: usize,
     /// How crops are changed.
@@ -83,6 +85,7 @@ impl Default for DataSettings {
             crop_px: 224,
             batch: 4,
             crops_per_example: 8,
+            examples: 0,
             threads: 1,
             augment: AugmentSettings::default(),
         }
@@ -220,7 +223,8 @@ impl Source {
         let (window, place) = (index / per_window, index % per_window);
         let mut order: Vec<u64> = (0..per_window).collect();
         order.shuffle(&mut self.rng(0, window));
-        let example = self.example(window * WINDOW + order[place as usize] % WINDOW)?;
+        let number = window * WINDOW + order[place as usize] % WINDOW;
+        let example = self.example(number.checked_rem(self.settings.examples).unwrap_or(number))?;
         Ok(Crop::random(&example, self.task, self.settings.crop_px, &self.settings.augment, &mut self.rng(1, index)))
     }
 

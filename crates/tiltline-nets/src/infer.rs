@@ -229,7 +229,8 @@ impl Match for NetMatcher {
     fn match_curves(&self, pair: &RectifiedPair, lines: &[LineMap; 2], traces: &[TraceGraph; 2]) -> Vec<MatchedCurve> {
         let mut needed = Array2::from_elem(pair.left.dim(), false);
         for point in traces[0].traces.iter().flat_map(|trace| &trace.points) {
-            let (row, column) = (point.position.y.round().max(0.0) as usize, point.position.x.round().max(0.0) as usize);
+            let (row, column) =
+                (point.position.y.round().max(0.0) as usize, point.position.x.round().max(0.0) as usize);
             if let Some(pixel) = needed.get_mut([row, column]) {
                 *pixel = true;
             }

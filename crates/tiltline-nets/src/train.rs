@@ -30,7 +30,6 @@ use crate::losses::LossWeights;
 use crate::networks::Networks;
 use crate::score::validate;
 use crate::weights::{NetworkConfig, Precision, Record, Weights, WeightsError, initialise, replace, write_atomically};
-use adam::Adam;
 use checkpoint::{Checkpoint, Progress};
 use metrics::{Line, Metrics};
 use step::{detector_loss, matcher_loss};
@@ -174,6 +173,7 @@ pub enum Event<'a> {
     Saved(&'a Path),
 }
 
+pub use adam::Adam;
 pub use metrics::Line as MetricsLine;
 
 /// A training run.
@@ -345,9 +345,7 @@ impl Run {
         let device = self.device.clone().autodiff();
         let joint = self.settings.task == Task::Joint;
         let loss = match &self.networks.matcher {
-            Some(matcher) => {
-                matcher_loss(&self.networks.detector, matcher, batch, &self.settings, joint, &device)
-            }
+            Some(matcher) => matcher_loss(&self.networks.detector, matcher, batch, &self.settings, joint, &device),
             None => detector_loss(&self.networks.detector, batch, &self.settings, &device),
         };
         let value = loss.value();

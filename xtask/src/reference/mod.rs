@@ -1,6 +1,7 @@
 //! Comparisons with independent implementations: `cargo xtask reference [TOPIC...]`, one file a topic.
 
 mod formats;
+mod nets;
 mod readers;
 mod sgbm;
 mod sift;
@@ -15,6 +16,7 @@ type Topic = (&'static str, fn(&Venv) -> Result<()>);
 
 const TOPICS: &[Topic] = &[
     ("formats", formats::run),
+    ("nets", nets::run),
     ("readers", readers::run),
     ("sgbm", sgbm::run),
     ("sift", sift::run),

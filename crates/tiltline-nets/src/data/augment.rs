@@ -275,17 +275,14 @@ impl Crop {
             let source = example.disparity.as_ref().map_or(f32::NAN, |map| nearest(map, window.left(q)));
             if source.is_nan() { source } else { window.disparity(q, f64::from(source)) as f32 }
         });
-        Self {
-            images: [image(0, &left), image(1, &right)],
-            lines: [lines(0, &left), lines(1, &right)],
-            disparity,
-        }
+        Self { images: [image(0, &left), image(1, &right)], lines: [lines(0, &left), lines(1, &right)], disparity }
     }
 
     /// Grey values as another microscope, another exposure or another border would have made them.
     fn change(&mut self, settings: &AugmentSettings, rng: &mut Pcg64) {
         let mut chance = |share: f64| rng.random_range(0.0..1.0) < share;
-        let (inverted, border, blurred, noisy) = (chance(settings.inverted), chance(settings.border), chance(0.4), chance(0.7));
+        let (inverted, border, blurred, noisy) =
+            (chance(settings.inverted), chance(settings.border), chance(0.4), chance(0.7));
         let gamma = settings.gamma.powf(rng.random_range(-1.0..1.0));
         let [low, high] = settings.brightness;
         let brightness = low + (high - low) * rng.random_range(0.0..1.0);

@@ -39,11 +39,7 @@ impl Example {
     fn new(images: [Array2<f32>; 2], lines: [Option<Array2<f32>>; 2], disparity: Option<Array2<f32>>) -> Self {
         let mut known: Vec<f32> = disparity.iter().flatten().copied().filter(|d| !d.is_nan()).collect();
         let middle = known.len() / 2;
-        let median_px = if known.is_empty() {
-            0.0
-        } else {
-            *known.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
+        let median_px = if known.is_empty() { 0.0 } else { *known.select_nth_unstable_by(middle, f32::total_cmp).1 };
         Self { images, lines, disparity, median_px }
     }
 
@@ -74,7 +70,9 @@ impl Example {
         let images = [0, 1].map(|view| Micrograph::new(sample.views[view].recording.image.clone()).normalised());
         let truth = &sample.truth;
         let lines = [0, 1].map(|view| Some(known_lines(&line_mask(truth, &truth.views[view]))));
-        let pair = truth.pair(0, 1).map_err(|error| DataError::Item { item: "a simulated pair".into(), why: error.to_string() })?;
+        let pair = truth
+            .pair(0, 1)
+            .map_err(|error| DataError::Item { item: "a simulated pair".into(), why: error.to_string() })?;
         Ok(Self::new(images, lines, Some(disparity_map(&pair))))
     }
 

@@ -1,7 +1,7 @@
-use rand::SeedableRng;
 use super::augment::Window;
 use super::*;
 use ndarray::Array2;
+use rand::SeedableRng;
 
 /// A pair in which a bright dot at `(x, y)` on the left lies at `(x + d, y)` on the right.
 fn dots() -> (Example, Vec<([f64; 2], f64)>) {
@@ -66,7 +66,8 @@ fn the_disparity_follows_every_geometric_change() {
             for ((row, column), d) in crop.disparity.indexed_iter().filter(|(_, d)| !d.is_nan()) {
                 // Only at the middle of a dot: its neighbourhood has its disparity too, but not its brightness.
                 let source = window.left([column as f64, row as f64]);
-                let Some((_, true_d)) = dots.iter().find(|([x, y], _)| (source[0] - x).hypot(source[1] - y) < 0.4) else {
+                let Some((_, true_d)) = dots.iter().find(|([x, y], _)| (source[0] - x).hypot(source[1] - y) < 0.4)
+                else {
                     continue;
                 };
                 let left = brightest(&crop.images[0], [column as f64, row as f64]);

@@ -98,8 +98,7 @@ mod tests {
         let shape = [1, 8, 4, 6];
         let values: Vec<f32> = (0..8 * 4 * 6).map(|index| ((index * 37) % 29) as f32 / 7.0).collect();
         let cost = Tensor::<4>::from_data(TensorData::new(values, shape), &Device::flex());
-        let expected: Vec<f32> =
-            at_levels(at_pixels(cost.clone(), &config), &config).into_data().try_to_vec().unwrap();
+        let expected: Vec<f32> = at_levels(at_pixels(cost.clone(), &config), &config).into_data().try_to_vec().unwrap();
         let mut costs = Costs::new((16, 24), &config);
         let tile = |count| Tile { start: 0, length: count, keep: 0..count };
         costs.put(cost, &tile(16), &tile(24));

@@ -45,8 +45,7 @@ fn measure(costs: &Costs, right: &LineMap, trace: &Trace, [low, high]: [f64; 2])
         .iter()
         .map(|point| costs.at(point.position.x, point.position.y).map(|costs| log_probabilities(&costs)))
         .collect();
-    let allowed: Vec<bool> =
-        levels.iter().map(|level| f64::from(*level) >= low && f64::from(*level) <= high).collect();
+    let allowed: Vec<bool> = levels.iter().map(|level| f64::from(*level) >= low && f64::from(*level) <= high).collect();
     if !allowed.iter().any(|allowed| *allowed) {
         return vec![None; trace.points.len()];
     }
@@ -66,10 +65,9 @@ fn measure(costs: &Costs, right: &LineMap, trace: &Trace, [low, high]: [f64; 2])
                 return None;
             }
             let mean = mean / sum;
-            let variance: f64 = near
-                .map(|index| f64::from(logs[index].exp()) * (f64::from(levels[index]) - mean).powi(2))
-                .sum::<f64>()
-                / sum;
+            let variance: f64 =
+                near.map(|index| f64::from(logs[index].exp()) * (f64::from(levels[index]) - mean).powi(2)).sum::<f64>()
+                    / sum;
             let line = (-NEAR_PX..=NEAR_PX).filter_map(|offset| {
                 let x = point.position.x + mean + f64::from(offset);
                 sample_linear(&right.probability.view(), x, point.position.y)

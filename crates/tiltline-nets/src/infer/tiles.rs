@@ -45,7 +45,10 @@ mod tests {
     fn tiles_keep_every_pixel_once_with_its_margin() {
         for count in [10, 512, 768, 769, 2000, 4096] {
             let all = tiles(count, 512, 112, 16);
-            assert_eq!(all.iter().flat_map(|tile| tile.keep.clone()).collect::<Vec<_>>(), (0..count).collect::<Vec<_>>());
+            assert_eq!(
+                all.iter().flat_map(|tile| tile.keep.clone()).collect::<Vec<_>>(),
+                (0..count).collect::<Vec<_>>()
+            );
             for tile in &all {
                 assert!(tile.start.is_multiple_of(16) && tile.length.is_multiple_of(16));
                 assert!(tile.start == 0 || tile.keep.start - tile.start >= 112);

@@ -1,7 +1,7 @@
 //! Our kernels against burn's own operations, values and gradients, over odd shapes.
 
-use burn::tensor::activation::relu;
 use burn::tensor::TensorData;
+use burn::tensor::activation::relu;
 
 use super::*;
 

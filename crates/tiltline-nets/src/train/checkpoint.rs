@@ -47,17 +47,14 @@ impl Checkpoint {
         let encoded: Vec<(String, &Values, Vec<u8>)> = all
             .iter()
             .flat_map(|(group, named)| named.iter().map(move |(name, values)| (format!("{group}.{name}"), values)))
-            .map(|(name, values)| {
-                (name, values, values.values.iter().flat_map(|value| value.to_le_bytes()).collect())
-            })
+            .map(|(name, values)| (name, values, values.values.iter().flat_map(|value| value.to_le_bytes()).collect()))
             .collect();
         let views = encoded.iter().map(|(name, values, bytes)| {
             let view = TensorView::new(Dtype::F32, values.shape.clone(), bytes).expect("the bytes are the shape's");
             (name.as_str(), view)
         });
         let metadata = serde_json::to_string(&self.progress).expect("plain data has a JSON form");
-        let bytes =
-            serialize(views, Some(HashMap::from([(KEY.into(), metadata)]))).expect("names and sizes are sound");
+        let bytes = serialize(views, Some(HashMap::from([(KEY.into(), metadata)]))).expect("names and sizes are sound");
         write_atomically(&path, &bytes).map_err(io)?;
         let all = checkpoints(folder)?;
         for old in &all[..all.len().saturating_sub(KEPT)] {

@@ -12,9 +12,7 @@ const BASE_BYTES: f64 = 350e6;
 fn detector_floats(settings: &TrainSettings) -> f64 {
     let config = &settings.detector;
     // A level has four convolutions (down and up), each with an input to its norm, and a joined input.
-    (0..=config.depth)
-        .map(|level| (config.channels << level) as f64 * 11.0 / f64::from(1_u32 << (2 * level)))
-        .sum()
+    (0..=config.depth).map(|level| (config.channels << level) as f64 * 11.0 / f64::from(1_u32 << (2 * level))).sum()
 }
 
 /// The same of the matcher, an image px of one view.
@@ -60,11 +58,8 @@ pub fn described(settings: &TrainSettings) -> String {
     let crop = settings.data.crop_px;
     let needed = step_bytes(settings, crop);
     let gib = |bytes: f64| bytes / f64::from(1 << 30);
-    let mut text = format!(
-        "a step of {} crops of {crop} px takes about {:.1} GiB of memory",
-        settings.data.batch,
-        gib(needed)
-    );
+    let mut text =
+        format!("a step of {} crops of {crop} px takes about {:.1} GiB of memory", settings.data.batch, gib(needed));
     if let Some(available) = available_bytes().filter(|available| needed > 0.9 * available) {
         text += &format!("; this machine has {:.1} GiB free", gib(available));
         text += &match fitting_crop(settings, 0.9 * available) {

@@ -1,8 +1,8 @@
 //! `metrics.jsonl`, a line a report, and `curves.svg`, the same as a picture.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::fmt::Write;
+use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};

@@ -6,9 +6,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use super::TrainSettings;
 use crate::data::Batch;
 use crate::detector::Detector;
-use crate::losses::{
-    Labelled, detection_loss, disparity_loss, entropy_loss, variance_loss, warp, warp_loss,
-};
+use crate::losses::{Labelled, detection_loss, disparity_loss, entropy_loss, variance_loss, warp, warp_loss};
 use crate::matcher::Matcher;
 use crate::networks::matcher_input;
 use crate::volume::{at_levels, at_pixels, probabilities, soft_argmin};
