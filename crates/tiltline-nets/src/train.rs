@@ -142,7 +142,7 @@ pub enum TrainError {
     #[error("{0} holds a training run; go on with --resume {0}, or give another folder")]
     Occupied(PathBuf),
     /// The matcher needs to see what a detector finds.
-    #[error("a matcher is trained on what a detector finds; give its weights with --detector FILE")]
+    #[error("a matcher is trained on what a detector finds; give its weights with --from FILE")]
     NoDetector,
     /// The loss is no number.
     #[error(

@@ -123,7 +123,8 @@ fn the_detector_learns_a_few_images_by_heart() {
         let found = ndarray::Zip::from(&detector.probability(&image))
             .and(&lines)
             .map_collect(|p, line| *p > 0.5 && !line.is_nan());
-        let score = tiltline::score::cl_dice(&found, &lines.mapv(|line| line == 1.0), tiltline::trace::thin::thin).unwrap();
+        let score =
+            tiltline::score::cl_dice(&found, &lines.mapv(|line| line == 1.0), tiltline::trace::thin::thin).unwrap();
         assert!(score > 0.99, "clDice {score}");
     }
 }
