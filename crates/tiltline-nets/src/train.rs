@@ -345,7 +345,13 @@ impl Run {
         let device = self.device.clone().autodiff();
         let joint = self.settings.task == Task::Joint;
         let loss = match &self.networks.matcher {
-            Some(matcher) => matcher_loss(&self.networks.detector, matcher, batch, &self.settings, joint, &device),
+            Some(matcher) if joint => {
+                matcher_loss(&self.networks.detector, matcher, batch, &self.settings, true, &device)
+            }
+            // A detector that is not trained is used as it will be: with its running statistics, and without gradients.
+            Some(matcher) => {
+                matcher_loss(&self.networks.detector.valid(), matcher, batch, &self.settings, false, &device)
+            }
             None => detector_loss(&self.networks.detector, batch, &self.settings, &device),
         };
         let value = loss.value();

@@ -4,6 +4,8 @@
 //! agree to 1e-4 (relative), gradients to 1e-3 (relative L2 of each tensor): both add in other orders, and where a value lies within
 //! rounding of a ReLU's zero, one lets its gradient pass and the other does not.
 
+#![allow(clippy::unwrap_used)] // a failed unwrap is a failed test
+
 use std::collections::BTreeMap;
 
 use burn::module::{Module, ModuleVisitor, Param};

@@ -102,8 +102,8 @@ fn smooth_path(logs: &[Option<Vec<f32>>], allowed: &[bool]) -> Vec<usize> {
         for level in (0..count).filter(|&level| allowed[level]) {
             let lowest = if index == 0 { level } else { level.saturating_sub(reach) };
             let highest = if index == 0 { level } else { (level + reach).min(count - 1) };
-            for before in lowest..=highest {
-                let price = total[before] + CHANGE_COST * level.abs_diff(before) as f32;
+            for (before, total) in total.iter().enumerate().take(highest + 1).skip(lowest) {
+                let price = total + CHANGE_COST * level.abs_diff(before) as f32;
                 if price < next[level] {
                     (next[level], came[level]) = (price, before);
                 }

@@ -80,7 +80,8 @@ pub fn detector_loss(detector: &Detector, batch: &Batch, settings: &TrainSetting
     loss
 }
 
-/// The matcher's loss. With `joint`, gradients reach the detector too, which then has a loss of its own.
+/// The matcher's loss. With `joint`, gradients reach the detector too, which then has a loss of its own; without, the detector must
+/// be one for inference (`Module::valid`).
 pub fn matcher_loss(
     detector: &Detector,
     matcher: &Matcher,
@@ -96,7 +97,6 @@ pub fn matcher_loss(
     let detected = if joint {
         detector.forward(both.clone())
     } else {
-        // A detector that is not trained is used as it will be: with its running statistics, and without gradients.
         let mut detected = detector.forward(both.clone().inner());
         detected.logits = detected.logits.autodiff();
         detected.features = detected.features.autodiff();
