@@ -22,12 +22,14 @@ fn main() {
     let dataset = Dataset::open(folder).unwrap();
     let (mut all, mut axes, mut turns, mut seconds) = (Vec::new(), Vec::new(), Vec::new(), 0.0);
     let (mut pairs, mut within, mut failed) = (Vec::new(), [0; 2], 0);
-    println!("pair                                      matches inliers  rms row  sigma | true row rms  95 %    axis +- sigma   turn");
+    println!(
+        "pair                                      matches inliers  rms row  sigma | true row rms  95 %    axis +- sigma   turn"
+    );
     for item in &dataset.manifest.items {
         let truth = dataset.truth(item).unwrap();
         let pair = truth.pair(item.pair[0], item.pair[1]).unwrap();
-        let [left, right] =
-            [pair.left, pair.right].map(|view| read_micrograph(&dataset.path(item, &view.name).to_string_lossy()).unwrap());
+        let [left, right] = [pair.left, pair.right]
+            .map(|view| read_micrograph(&dataset.path(item, &view.name).to_string_lossy()).unwrap());
         let images = StereoPair { left, right, tilts: pair.tilts.unwrap(), tilt_axis_rad: 0.0 };
         let start = Instant::now();
         let result = rectify(&images, &RectifySettings::default(), seed);
@@ -85,7 +87,8 @@ fn row_errors(pair: &TruthPair<'_>, found: &Rectification) -> Vec<f64> {
     let tilts = [geometry.tilts.left_rad, geometry.tilts.right_rad];
     let points = pair.truth.curves.iter().filter_map(|curve| curve.points.as_ref()).flatten();
     let error = |point| {
-        let [left, right] = [0, 1].map(|view| images[view] * (project_at_tilt(point, tilts[view]) * geometry.px_per_unit));
+        let [left, right] =
+            [0, 1].map(|view| images[view] * (project_at_tilt(point, tilts[view]) * geometry.px_per_unit));
         let seen = pair.left.contains(&left) && pair.right.contains(&right);
         seen.then(|| ((found.rectified_from_right * right).y - (found.rectified_from_left * left).y).abs())
     };
