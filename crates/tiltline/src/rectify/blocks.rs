@@ -15,8 +15,6 @@ const BLOCK: usize = 48;
 const WINDOW: usize = 96;
 /// Smallest distance of neighbouring blocks.
 const SPACING: usize = 24;
-/// Blocks at most, about: large images have enough.
-const MOST_BLOCKS: usize = 800;
 /// Largest shift that can be seen.
 const REACH: isize = ((WINDOW - BLOCK) / 2) as isize - 1;
 /// The peak must stand out by so much from the root mean square of the correlation elsewhere.
@@ -40,14 +38,20 @@ pub struct Search {
 }
 
 /// The blocks of the left image that are found in the right one, by their centres; `right_from_left` maps left to right
-/// input px to within what is searched.
-pub fn match_blocks(textures: &[Texture; 2], right_from_left: &Similarity2, search: &Search) -> Vec<PointMatch> {
+/// input px to within what is searched. Images with
+/// room for more than about `most` blocks have them further apart.
+pub fn match_blocks(
+    textures: &[Texture; 2],
+    right_from_left: &Similarity2,
+    search: &Search,
+    most: usize,
+) -> Vec<PointMatch> {
     let [left, right] = textures;
     let here_from_there = texture_map(textures, right_from_left);
     let shape = left.shape();
     let warped = right.warped(&here_from_there, shape);
     let correlator = Correlator::new(WINDOW);
-    let spacing = SPACING.max((((shape[0] * shape[1]) / MOST_BLOCKS) as f64).sqrt() as usize);
+    let spacing = SPACING.max((((shape[0] * shape[1]) / most.max(1)) as f64).sqrt() as usize);
     let places = |side: usize| (0..).map(move |i| i * spacing).take_while(move |start| start + BLOCK <= side);
     let corners: Vec<[usize; 2]> = places(shape[0]).flat_map(|y| places(shape[1]).map(move |x| [y, x])).collect();
     let middle = Vector2::repeat(0.5 * (BLOCK - 1) as f64);
