@@ -1,7 +1,7 @@
 //! Rectification: makes epipolar lines of a pair rows (paper, section "Image Rectification"; CONVENTIONS.md for signs).
 //!
-//! The path: SIFT features of both images ([`mod@sift`]), matched by descriptor ([`point_matching`]), the matches that
-//! share one geometry ([`ransac`]), that geometry with what is known of the axis ([`epipolar`]; the paper's own model is
+//! The path: SIFT features of both images ([`mod@sift`]), matched by descriptor ([`point_matching`]), blocks matched by
+//! area ([`area`]), the matches that share one geometry ([`ransac`]), that geometry with what is known of the axis ([`epipolar`]; the paper's own model is
 //! in [`paper_model`]), and both images on one grid ([`mod@resample`]). All lengths are px of the left image's scale.
 //!
 //! Scale along the rows and shear along them change no epipolar line and cannot be seen in two views: only rotation,
