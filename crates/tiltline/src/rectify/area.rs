@@ -5,6 +5,8 @@
 //! searched again, about that geometry's rows. Lines of different depth lie in one block, so the search stays wide along
 //! the rows.
 
+use std::cell::OnceCell;
+
 use ndarray::Array2;
 
 use super::align::align;
@@ -21,11 +23,15 @@ const LARGEST_PX: usize = 1536;
 const ACROSS_PX: [f64; 2] = [20.0, 4.0];
 /// Search along the rows, texture px: the disparities of a foil.
 const ALONG_PX: f64 = 30.0;
+/// Sides of blocks, texture px. Small ones first, because lines of different depth in one block pull its peak off the row;
+/// where noise leaves too few of them, larger ones.
+const BLOCKS_PX: [usize; 2] = [48, 80];
 /// Blocks at most, about, first and second: large images have enough.
 const MOST_BLOCKS: [usize; 2] = [450, 800];
-/// So many blocks must agree in the wide search. Of images of different foils up to 15 do by chance; of 512 px images of one
-/// foil at least 40.
-const LEAST_SUPPORT: usize = 20;
+/// So many blocks, and such a share of all that were found, must agree in the wide search; one of the two is enough. Of the
+/// images of different foils (each left image of `val-8deg` and `val-hard` with the right one three pairs on) up to 17 agree by
+/// chance with a share above a half, and never more than 0.61 of them.
+const LEAST_SUPPORT: [(usize, f64); 2] = [(20, 0.5), (10, 0.75)];
 /// With so many behind it, the points' start needs no rival.
 const AMPLE_SUPPORT: usize = 60;
 /// Starts closer than this at all corners are one, texture px.
@@ -43,26 +49,40 @@ pub fn match_areas(
     let diagonal_px = images.iter().map(diagonal).fold(0.0, f64::max);
     let textures = images.each_ref().map(|image| Texture::of(image, side.div_ceil(LARGEST_PX)));
     let from_points = common(by_points, diagonal_px, seed);
-    let search = Search { axis_rad: prior.axis_rad, across_px: ACROSS_PX[0], along_px: ALONG_PX };
-    let try_start = |start: &Similarity2| {
-        let distinct = match_blocks(&textures, start, &search, MOST_BLOCKS[0]);
-        consensus(&PointMatches { distinct, possible: Vec::new() }, diagonal_px, prior, seed).ok()
-    };
-    let mut best = from_points.as_ref().and_then(try_start);
-    let support = |found: &Option<Consensus>| found.as_ref().map_or(0, |found| found.inliers.len());
-    if support(&best) < AMPLE_SUPPORT {
-        let near = SAME_START_PX * textures[0].step as f64;
-        let whole = align(images, from_points.as_slice()).map(|found| found.right_from_left);
-        let new =
-            whole.filter(|whole| from_points.is_none_or(|start| far_apart(&start, whole, images[0].dim()) > near));
-        let found = new.as_ref().and_then(try_start);
-        if support(&found) > support(&best) {
-            best = found;
+    let whole = OnceCell::new();
+    let whole = || *whole.get_or_init(|| align(images, from_points.as_slice()).map(|found| found.right_from_left));
+    for block in BLOCKS_PX {
+        let search = Search { block, axis_rad: prior.axis_rad, across_px: ACROSS_PX[0], along_px: ALONG_PX };
+        let try_start = |start: &Similarity2| {
+            let distinct = match_blocks(&textures, start, &search, MOST_BLOCKS[0]);
+            consensus(&PointMatches { distinct, possible: Vec::new() }, diagonal_px, prior, seed).ok()
+        };
+        let mut best = from_points.as_ref().and_then(try_start);
+        if support(&best) < AMPLE_SUPPORT {
+            let near = SAME_START_PX * textures[0].step as f64;
+            let new =
+                |whole: &Similarity2| from_points.is_none_or(|start| far_apart(&start, whole, images[0].dim()) > near);
+            let found = whole().filter(new).as_ref().and_then(try_start);
+            if support(&found) > support(&best) {
+                best = found;
+            }
+        }
+        if let Some(best) = best.filter(supported) {
+            let search = Search { axis_rad: best.posterior.geometry.axis_left_rad, across_px: ACROSS_PX[1], ..search };
+            return match_blocks(&textures, &best.right_from_left, &search, MOST_BLOCKS[1]);
         }
     }
-    let Some(best) = best.filter(|best| best.inliers.len() >= LEAST_SUPPORT) else { return Vec::new() };
-    let search = Search { axis_rad: best.posterior.geometry.axis_left_rad, across_px: ACROSS_PX[1], ..search };
-    match_blocks(&textures, &best.right_from_left, &search, MOST_BLOCKS[1])
+    Vec::new()
+}
+
+fn support(found: &Option<Consensus>) -> usize {
+    found.as_ref().map_or(0, |found| found.inliers.len())
+}
+
+/// Whether more blocks agree than would by chance.
+fn supported(found: &Consensus) -> bool {
+    let (count, share) = (found.inliers.len(), found.inliers.len() as f64 / found.matches.max(1) as f64);
+    LEAST_SUPPORT.iter().any(|(least, least_share)| count >= *least && share >= *least_share)
 }
 
 /// Largest distance at the corners of an image of `(rows, columns)` between where two maps take them.
@@ -162,7 +182,7 @@ mod tests {
             1.0 - 0.5 * (-across * across / 8.0).exp()
         });
         let textures = [Texture::of(&line, 1), Texture::of(&line, 1)];
-        let search = Search { axis_rad: 0.0, across_px: 20.0, along_px: 20.0 };
+        let search = Search { block: 48, axis_rad: 0.0, across_px: 20.0, along_px: 20.0 };
         assert_eq!(match_blocks(&textures, &Similarity2::identity(), &search, 1000), []);
     }
 }

@@ -8,15 +8,12 @@ use super::point_matching::PointMatch;
 use super::texture::Texture;
 use crate::geometry::{Point2, Similarity2, Vector2};
 
-/// Side of a block, px of the texture: large enough to hold more than one line, and small, because lines of different
-/// depth pull its peak off the row.
-const BLOCK: usize = 48;
-/// Side of the window that is searched for it.
-const WINDOW: usize = 96;
+/// Room for shifts about a block on each side of its window, px.
+const MARGIN: usize = 24;
 /// Smallest distance of neighbouring blocks.
 const SPACING: usize = 24;
 /// Largest shift that can be seen.
-const REACH: isize = ((WINDOW - BLOCK) / 2) as isize - 1;
+const REACH: isize = MARGIN as isize - 1;
 /// The peak must stand out by so much from the root mean square of the correlation elsewhere.
 const LEAST_CONTRAST: f64 = 3.0;
 /// A second place may correlate with the block by this share of the best one: a straight line looks the same all along.
@@ -29,6 +26,8 @@ const LEAST_DATA: f32 = 0.6;
 /// What is searched for each block.
 #[derive(Clone, Copy, Debug)]
 pub struct Search {
+    /// Side of a block, texture px.
+    pub block: usize,
     /// Direction of the tilt axis in the left image.
     pub axis_rad: f64,
     /// Largest shift across the rows, texture px.
@@ -50,13 +49,14 @@ pub fn match_blocks(
     let here_from_there = texture_map(textures, right_from_left);
     let shape = left.shape();
     let warped = right.warped(&here_from_there, shape);
-    let correlator = Correlator::new(WINDOW);
+    let block = search.block;
+    let correlator = Correlator::new(block + 2 * MARGIN);
     let spacing = SPACING.max((((shape[0] * shape[1]) / most.max(1)) as f64).sqrt() as usize);
-    let places = |side: usize| (0..).map(move |i| i * spacing).take_while(move |start| start + BLOCK <= side);
+    let places = |side: usize| (0..).map(move |i| i * spacing).take_while(move |start| start + block <= side);
     let corners: Vec<[usize; 2]> = places(shape[0]).flat_map(|y| places(shape[1]).map(move |x| [y, x])).collect();
-    let middle = Vector2::repeat(0.5 * (BLOCK - 1) as f64);
+    let middle = Vector2::repeat(0.5 * (block.max(1) - 1) as f64);
     let find = |workspace: &mut Workspace, corner: &[usize; 2]| {
-        let map = Map::of(left, &warped, *corner, &correlator, workspace)?;
+        let map = Map::of(left, &warped, *corner, block, &correlator, workspace)?;
         let centre = Point2::new(corner[1] as f64, corner[0] as f64) + middle;
         let found = here_from_there * (centre + map.peak(search)?);
         Some(PointMatch { left: left.to_input(&centre), right: right.to_input(&found) })
@@ -80,6 +80,8 @@ struct Map<'a> {
     sums: Vec<[f64; 2]>,
     /// Sum of squares of the block.
     energy: f64,
+    block: usize,
+    window: usize,
 }
 
 impl<'a> Map<'a> {
@@ -88,34 +90,35 @@ impl<'a> Map<'a> {
         left: &Texture,
         right: &Texture,
         [top, start]: [usize; 2],
+        block: usize,
         correlator: &Correlator,
         workspace: &'a mut Workspace,
     ) -> Option<Self> {
         let [height, width] = left.shape();
-        let margin = (WINDOW - BLOCK) / 2;
+        let window = block + 2 * MARGIN;
         workspace.window.fill(Complex32::default());
         let (mut energy, mut data) = (0.0_f64, 0.0);
-        for y in 0..BLOCK {
-            for x in 0..BLOCK {
+        for y in 0..block {
+            for x in 0..block {
                 let value = left.values[[top + y, start + x]];
                 data += left.valid[[top + y, start + x]];
                 energy += f64::from(value * value);
-                workspace.window[(y + margin) * WINDOW + x + margin].re = value;
+                workspace.window[(y + MARGIN) * window + x + MARGIN].re = value;
             }
         }
-        if data < LEAST_DATA * (BLOCK * BLOCK) as f32 || energy <= 0.0 {
+        if data < LEAST_DATA * (block * block) as f32 || energy <= 0.0 {
             return None;
         }
-        let stride = WINDOW + 1;
+        let stride = window + 1;
         let mut sums = vec![[0.0_f64; 2]; stride * stride];
-        for y in 0..WINDOW {
+        for y in 0..window {
             let mut line = [0.0; 2];
-            for x in 0..WINDOW {
+            for x in 0..window {
                 // Left of and above the image the difference wraps around and is beyond its other side.
-                let (row, column) = ((top + y).wrapping_sub(margin), (start + x).wrapping_sub(margin));
+                let (row, column) = ((top + y).wrapping_sub(MARGIN), (start + x).wrapping_sub(MARGIN));
                 if row < height && column < width {
                     let value = right.values[[row, column]];
-                    workspace.window[y * WINDOW + x].im = value;
+                    workspace.window[y * window + x].im = value;
                     line[0] += f64::from(value * value);
                     line[1] += f64::from(right.valid[[row, column]]);
                 }
@@ -125,20 +128,20 @@ impl<'a> Map<'a> {
             }
         }
         correlator.correlate(workspace);
-        Some(Self { products: &workspace.window, sums, energy })
+        Some(Self { products: &workspace.window, sums, energy, block, window })
     }
 
     /// Normalised correlation at a shift; 0 where the window has too little data.
     fn at(&self, dy: isize, dx: isize) -> f64 {
-        let margin = ((WINDOW - BLOCK) / 2) as isize;
+        let (margin, block, window) = (MARGIN as isize, self.block, self.window);
         let (y, x) = ((margin + dy) as usize, (margin + dx) as usize);
-        let corner = |row: usize, column: usize| &self.sums[row * (WINDOW + 1) + column];
-        let [a, b, c, d] = [corner(y, x), corner(y, x + BLOCK), corner(y + BLOCK, x), corner(y + BLOCK, x + BLOCK)];
+        let corner = |row: usize, column: usize| &self.sums[row * (window + 1) + column];
+        let [a, b, c, d] = [corner(y, x), corner(y, x + block), corner(y + block, x), corner(y + block, x + block)];
         let sum = |i: usize| d[i] - b[i] - c[i] + a[i];
-        if sum(1) < f64::from(LEAST_DATA) * (BLOCK * BLOCK) as f64 {
+        if sum(1) < f64::from(LEAST_DATA) * (block * block) as f64 {
             return 0.0;
         }
-        let index = dy.rem_euclid(WINDOW as isize) as usize * WINDOW + dx.rem_euclid(WINDOW as isize) as usize;
+        let index = dy.rem_euclid(window as isize) as usize * window + dx.rem_euclid(window as isize) as usize;
         // An empty place must not correlate by its noise alone.
         f64::from(self.products[index].re) / (self.energy * sum(0).max(0.1 * self.energy)).sqrt()
     }
