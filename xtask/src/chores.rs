@@ -13,7 +13,8 @@ pub fn ci() -> Result<()> {
     let wgpu = ["--features", "tiltline-nets/wgpu"];
     let clippy = [&["clippy", "--release", "--workspace", "--all-targets"][..], &wgpu, &["--", "--deny", "warnings"]];
     cargo(&clippy.concat(), &[])?;
-    cargo(&["doc", "--release", "--workspace", "--no-deps"], &[("RUSTDOCFLAGS", "--deny warnings")])?;
+    let doc = [&["doc", "--release", "--workspace", "--no-deps"][..], &wgpu];
+    cargo(&doc.concat(), &[("RUSTDOCFLAGS", "--deny warnings")])?;
     if Command::new("cargo-deny").arg("--version").output().is_ok() {
         cargo(&["deny", "--offline", "check", "licenses", "bans", "sources"], &[])?;
     } else {

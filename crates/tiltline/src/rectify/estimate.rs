@@ -2,7 +2,7 @@
 
 use nalgebra::Translation2;
 
-use super::epipolar::{AxisPrior, systematic_row_error_px, wrapped};
+use super::epipolar::{systematic_row_error_px, wrapped};
 use super::paper_model::fit_paper;
 use super::ransac::{consensus, median};
 use super::resample::{LARGEST_GROWTH, common_grid};
@@ -121,9 +121,7 @@ fn affine(
 ) -> Result<Geometry, RectifyError> {
     let few = |inliers| RectifyError::TooFewMatches { matches: matches.distinct.len(), inliers };
     let diagonal_px = shapes.iter().map(|[height, width]| (*height as f64).hypot(*width as f64)).fold(0.0, f64::max);
-    // A sigma of zero would be certainty; a ten-thousandth of a degree is as good.
-    let sigma_rad = settings.axis_prior_sigma_deg.max(1e-4).to_radians();
-    let prior = AxisPrior { axis_rad: tilt_axis_rad, sigma_rad };
+    let prior = settings.prior(tilt_axis_rad);
     let found = consensus(matches, diagonal_px, &prior, seed).map_err(few)?;
     if found.inliers.len() < SMALLEST_INLIERS {
         return Err(few(found.inliers.len()));

@@ -1,12 +1,16 @@
 //! Rectification: makes epipolar lines of a pair rows (paper, section "Image Rectification"; CONVENTIONS.md for signs).
 //!
-//! The path: SIFT features of both images ([`mod@sift`]), matched by descriptor ([`point_matching`]), the matches that
-//! share one geometry ([`ransac`]), that geometry with what is known of the axis ([`epipolar`]; the paper's own model is
+//! The path: SIFT features of both images ([`mod@sift`]), matched by descriptor ([`point_matching`]), blocks matched by
+//! area ([`area`]), the matches that share one geometry ([`ransac`]), that geometry with what is known of the axis ([`epipolar`]; the paper's own model is
 //! in [`paper_model`]), and both images on one grid ([`mod@resample`]). All lengths are px of the left image's scale.
 //!
 //! Scale along the rows and shear along them change no epipolar line and cannot be seen in two views: only rotation,
 //! isotropic scale and shift are applied.
 
+pub mod align;
+pub mod area;
+pub mod blocks;
+pub mod correlation;
 pub mod descriptor;
 pub mod epipolar;
 pub mod estimate;
@@ -17,6 +21,7 @@ pub mod ransac;
 pub mod resample;
 pub mod scale_space;
 pub mod sift;
+pub mod texture;
 
 pub use estimate::estimate;
 pub use point_matching::{PointMatch, PointMatches, match_features};
@@ -29,6 +34,8 @@ use crate::geometry::Similarity2;
 use crate::micrograph::{StereoPair, View};
 use crate::progress::Stage;
 use crate::warning::Warning;
+use area::match_areas;
+use epipolar::AxisPrior;
 use resample::resample;
 
 #[cfg(test)]
@@ -49,6 +56,14 @@ pub struct RectifySettings {
 impl Default for RectifySettings {
     fn default() -> Self {
         Self { model: Model::Affine, axis_prior_sigma_deg: 1.0, sift: SiftSettings::default() }
+    }
+}
+
+impl RectifySettings {
+    /// What is known of the axis, given its direction.
+    fn prior(&self, axis_rad: f64) -> AxisPrior {
+        // A sigma of zero would be certainty; a ten-thousandth of a degree is as good.
+        AxisPrior { axis_rad, sigma_rad: self.axis_prior_sigma_deg.max(1e-4).to_radians() }
     }
 }
 
@@ -161,10 +176,13 @@ pub fn rectify(
 ) -> Result<(RectifiedPair, Vec<Warning>), RectifyError> {
     let images = View::BOTH.map(|view| pair.view(view).normalised());
     let [left, right] = images.each_ref().map(|image| sift(image, &settings.sift));
-    if left.len().min(right.len()) < SMALLEST_INLIERS {
+    let mut matches = match_features(&left, &right);
+    if settings.model == Model::Affine {
+        matches.distinct.extend(match_areas(&images, &matches.distinct, &settings.prior(pair.tilt_axis_rad), seed));
+    }
+    if left.len().min(right.len()).max(matches.distinct.len()) < SMALLEST_INLIERS {
         return Err(RectifyError::TooFewFeatures { left: left.len(), right: right.len() });
     }
-    let matches = match_features(&left, &right);
     let shapes = images.each_ref().map(|image| [image.nrows(), image.ncols()]);
     let (rectification, mut warnings) = estimate(&matches, shapes, pair.tilt_axis_rad, settings, seed)?;
     let maps = [&rectification.rectified_from_left, &rectification.rectified_from_right];

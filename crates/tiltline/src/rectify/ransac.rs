@@ -76,6 +76,11 @@ pub fn consensus(matches: &PointMatches, diagonal_px: f64, prior: &AxisPrior, se
     Ok(Consensus { inliers, fitted, matches, posterior: refined.posterior, right_from_left })
 }
 
+/// The similarity most of the matches share.
+pub fn common(matches: &[PointMatch], diagonal_px: f64, seed: u64) -> Option<Similarity2> {
+    common_similarity(matches, PARALLAX_SHARE * diagonal_px, &mut Pcg64::seed_from_u64(seed))
+}
+
 /// Indices of distinct random matches.
 fn draw<const N: usize>(count: usize, rng: &mut Pcg64) -> [usize; N] {
     let mut drawn = [usize::MAX; N];

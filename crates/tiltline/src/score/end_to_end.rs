@@ -50,6 +50,10 @@ pub struct EndToEndScore {
     pub removed_offset_px: f64,
     /// Shift of the result's origin that was taken from its own image columns, (x, y) px.
     pub origin_shift_px: [f64; 2],
+    /// Turn of the result's frame about the viewing direction that was taken from them, degrees clockwise on the screen: how
+    /// far the tilt axis it found is off.
+    #[serde(default)]
+    pub frame_turn_deg: f64,
     /// Junctions.
     pub junctions: JunctionScore,
     /// The same against the centres of contrast, where the headline is against the cores.
@@ -182,7 +186,7 @@ pub(crate) fn end_to_end_score(
 ) -> Result<(EndToEndScore, Compared), ScoreError> {
     let basis = best_basis(pair);
     let truth_space = truth_curves(pair, basis);
-    let (result_space, origin_shift_px) = result_curves(result, pair, basis)?;
+    let (result_space, placement) = result_curves(result, pair, basis)?;
     let (truth, found) = (Pieces::new(&truth_space), Pieces::new(&result_space));
     let on_cores = || {
         let mut compared = Compared::new(&truth, &found, settings);
@@ -226,7 +230,8 @@ pub(crate) fn end_to_end_score(
         unit: if geometry.is_some() { pair.truth.unit } else { LengthUnit::Px },
         any_distance_px: Spread::of(compared.any_distance.clone()).unwrap_or(Spread { mean: 0.0, p95: 0.0 }),
         removed_offset_px: compared.offset_px,
-        origin_shift_px,
+        origin_shift_px: placement.shift_px,
+        frame_turn_deg: placement.turn_rad.to_degrees(),
         junctions,
         on_contrast,
     };

@@ -167,6 +167,60 @@ fn a_depth_of_the_wrong_sign_is_wrong() {
     assert!(end.completeness < 0.5, "{}", end.completeness);
 }
 
+/// The axis is no property of the foil: a result that took it to be 0.8 degrees off is the same foil in a turned frame. Turning
+/// the frame back must not turn wrong curves into right ones.
+#[test]
+fn a_result_about_another_axis_is_as_good_and_displaced_curves_are_not() {
+    let truth = truth_of(vec![
+        vertical(-40.0, 60.0),
+        straight([-90.0, -90.0, -60.0], [90.0, 80.0, 60.0]),
+        straight([-80.0, 90.0, 20.0], [95.0, -70.0, -40.0]),
+    ]);
+    for degrees in [0.8_f64, -0.8, 60.0] {
+        let angle = degrees.to_radians();
+        let turn = nalgebra::Rotation3::from_axis_angle(&nalgebra::Vector3::z_axis(), -angle);
+        let turned = |mut result: ResultCurves| {
+            for point in result.curves.iter_mut().flat_map(|curve| &mut curve.points) {
+                point.position = turn * point.position;
+            }
+            result
+        };
+        let end = score(&turned(perfect(&truth)), &truth).end_to_end;
+        assert_abs_diff_eq!(end.frame_turn_deg, degrees, epsilon = 1e-6);
+        assert_relative_eq!(end.f_score, 1.0, epsilon = 1e-9);
+        assert_abs_diff_eq!(end.across_px.unwrap().p95, 0.0, epsilon = 1e-5);
+        assert_abs_diff_eq!(end.disparity_px.unwrap().p95, 0.0, epsilon = 1e-5);
+
+        // What a program finds that rectifies about that axis: it turns both images, so that the left columns are turned exactly,
+        // and reads off a disparity smaller by the cosine. That leaves sin(angle) of half the disparity (8 px at most) and the
+        // cosine's part.
+        let mut rectified = perfect(&truth);
+        for point in rectified.curves.iter_mut().flat_map(|curve| &mut curve.points) {
+            let image_turn = nalgebra::Rotation2::new(-angle);
+            let centre = Point2::new(127.5, 127.5);
+            let [left, right] = [point.left, point.right].map(|at| image_turn * (at - centre));
+            let (x, z) = tilts().triangulate(left.x, right.x);
+            point.position = Point3::new(x, left.y, z);
+        }
+        let end = score(&rectified, &truth).end_to_end;
+        if degrees.abs() < 1.0 {
+            assert_relative_eq!(end.f_score, 1.0, epsilon = 1e-9);
+            assert_abs_diff_eq!(end.across_px.unwrap().p95, 0.0, epsilon = 4.0 * angle.abs().sin() + 0.02);
+            assert_abs_diff_eq!(end.disparity_px.unwrap().p95, 0.0, epsilon = 8.0 * (1.0 - angle.cos()) + 0.01);
+        }
+
+        // Curves 3 px off across their direction, in alternate directions, each beside where its own image says it is.
+        let mut displaced = perfect(&truth);
+        for (index, curve) in displaced.curves.iter_mut().enumerate() {
+            let tangent = curve.points[curve.points.len() - 1].left - curve.points[0].left;
+            let across = Vector2::new(-tangent.y, tangent.x).normalize() * if index == 1 { -3.0 } else { 3.0 };
+            curve.points.iter_mut().for_each(|point| displace(point, across, across));
+        }
+        let end = score(&turned(displaced), &truth).end_to_end;
+        assert!(end.f_score < 0.1, "{}", end.f_score);
+    }
+}
+
 #[test]
 fn half_a_curve_missing_is_half_complete_and_fully_correct() {
     let truth = truth_of(vec![straight([-50.0, -50.0, -30.0], [50.0, 50.0, 30.0])]);
