@@ -1,6 +1,7 @@
 //! Time of the default networks: `speed detector|matcher forward|step N` prints the seconds of N runs as JSON.
 //!
 //! `cargo xtask reference nets` alternates it with the same networks in PyTorch.
+#![allow(clippy::print_stdout)] // what a program is for
 
 use std::error::Error;
 use std::time::Instant;

@@ -34,7 +34,7 @@ const MOST_SEED: u64 = 1 << 29;
 /// What the batches are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
-    /// Single images: only the left half of a batch is filled.
+    /// Single images, of either view: only the left half of a batch is filled.
     Detector,
     /// Pairs.
     Matcher,
@@ -48,6 +48,8 @@ pub struct DataSettings {
     pub families: Vec<Family>,
     /// Share of simulated pairs that are diffracted, which takes ten times as long as drawing.
     pub physics: f64,
+    /// How much more of what is not a line (boundaries, lamellae, slip traces, dirt) there is than the families have.
+    pub clutter: f64,
     /// Side of a simulated image, px.
     pub simulated_px: usize,
     /// Smallest and largest angle between the views of a simulated pair, degrees.
@@ -76,7 +78,8 @@ impl Default for DataSettings {
     fn default() -> Self {
         Self {
             families: vec![Family::Mixed, Family::Gan, Family::Tial, Family::Cantor],
-            physics: 0.15,
+            physics: 0.12,
+            clutter: 1.8,
             simulated_px: 512,
             phi_deg: [2.0, 12.0],
             mid_tilt_deg: 15.0,
@@ -84,7 +87,7 @@ impl Default for DataSettings {
             folder_share: 0.5,
             crop_px: 224,
             batch: 4,
-            crops_per_example: 8,
+            crops_per_example: 16,
             examples: 0,
             threads: 1,
             augment: AugmentSettings::default(),
@@ -274,6 +277,9 @@ impl DataSettings {
         let share = |value: f64| (0.0..=1.0).contains(&value);
         if !share(self.physics) {
             return wrong("physics", self.physics.to_string(), "0 to 1");
+        }
+        if !(0.0..=10.0).contains(&self.clutter) {
+            return wrong("clutter", self.clutter.to_string(), "0 to 10");
         }
         if !share(self.folder_share) {
             return wrong("folder_share", self.folder_share.to_string(), "0 to 1");

@@ -14,8 +14,12 @@ use tiltline::filter::{gaussian_blur, sample_cubic};
 
 use super::{DataError, Example, Task};
 
-/// Crops without a disparity are drawn again this many times for the matcher.
+/// Crops with too little in them are drawn again this many times.
 const TRIES: usize = 6;
+/// Line pixels that a crop should have at least.
+const ENOUGH_LINE: usize = 150;
+/// Share of crops that are taken as they come, so that images without lines are seen too.
+const AS_THEY_COME: f64 = 0.2;
 
 /// Ranges of the changes; each is drawn anew for every crop.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -225,21 +229,28 @@ impl Window {
 impl Crop {
     /// A random crop.
     pub fn random(example: &Example, task: Task, side: usize, settings: &AugmentSettings, rng: &mut Pcg64) -> Self {
-        let mut window = Window::random(example, task, side, settings, rng);
-        let mut crop = Self::cut(example, &window, task);
+        // Both views are images with lines.
+        let view = if task == Task::Detector { rng.random_range(0..2) } else { 0 };
+        let as_it_comes = rng.random_range(0.0..1.0) < AS_THEY_COME;
+        let mut crop = Self::cut(example, &Window::random(example, task, side, settings, rng), task, view);
         for _ in 0..TRIES {
-            if task == Task::Detector || crop.disparity.iter().any(|d| !d.is_nan()) {
+            let enough = if task == Task::Detector {
+                as_it_comes || crop.lines[0].iter().filter(|line| **line == 1.0).count() >= ENOUGH_LINE
+            } else {
+                let known = crop.disparity.iter().filter(|d| !d.is_nan()).count();
+                known >= if as_it_comes { 1 } else { ENOUGH_LINE }
+            };
+            if enough {
                 break;
             }
-            window = Window::random(example, task, side, settings, rng);
-            crop = Self::cut(example, &window, task);
+            crop = Self::cut(example, &Window::random(example, task, side, settings, rng), task, view);
         }
         crop.change(settings, rng);
         crop
     }
 
-    /// The maps in a window, grey values as they are.
-    pub(super) fn cut(example: &Example, window: &Window, task: Task) -> Self {
+    /// The maps in a window, grey values as they are; of one view for the detector.
+    pub(super) fn cut(example: &Example, window: &Window, task: Task, view: usize) -> Self {
         let side = window.side;
         let shape = (side, side);
         let image = |view: usize, place: &dyn Fn([f64; 2]) -> [f64; 2]| {
@@ -265,8 +276,8 @@ impl Crop {
         if task == Task::Detector {
             // Single images: `images[1]` stays empty.
             return Self {
-                images: [image(0, &left), nothing()],
-                lines: [lines(0, &left), nothing()],
+                images: [image(view, &left), nothing()],
+                lines: [lines(view, &left), nothing()],
                 disparity: nothing(),
             };
         }

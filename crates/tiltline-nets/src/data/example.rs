@@ -20,7 +20,7 @@ use super::{DataError, DataSettings};
 /// Rows of both sides of a labelled match may differ by this much, px.
 const SAME_ROW_PX: f64 = 2.0;
 /// Lines are asked for where their contrast is this many times what counts as visible in scores.
-const SURELY_VISIBLE: f64 = 4.0;
+const SURELY_VISIBLE: f64 = 1.2;
 
 /// A stereo pair on a rectified grid.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,7 +56,12 @@ impl Example {
         let half = 0.5 * (low + (high - low) * rng.random_range(0.0..1.0));
         let half = if rng.random_range(0..2) == 0 { half } else { -half };
         let mid = settings.mid_tilt_deg * rng.random_range(-1.0..1.0);
-        let family = SimulateSettings::of_family(family);
+        let mut family = SimulateSettings::of_family(family);
+        let look = &mut family.look;
+        for mean in [&mut look.boundary_families, &mut look.lamellae, &mut look.hair, &mut look.slip_traces] {
+            *mean *= settings.clutter;
+        }
+        look.debris *= settings.clutter;
         let simulate = SimulateSettings {
             mode: if physics { Mode::Physics } else { Mode::Parametric },
             size_px: settings.simulated_px,

@@ -62,7 +62,7 @@ fn the_disparity_follows_every_geometric_change() {
         for seed in 0..12 {
             let mut rng = Pcg64::seed_from_u64(seed);
             let window = Window::random_for_tests(&example, 144, &settings, &mut rng);
-            let crop = Crop::cut(&example, &window, Task::Matcher);
+            let crop = Crop::cut(&example, &window, Task::Matcher, 0);
             for ((row, column), d) in crop.disparity.indexed_iter().filter(|(_, d)| !d.is_nan()) {
                 // Only at the middle of a dot: its neighbourhood has its disparity too, but not its brightness.
                 let source = window.left([column as f64, row as f64]);

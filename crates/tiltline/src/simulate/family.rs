@@ -66,6 +66,8 @@ fn tial_look() -> LookSettings {
         line_contrast: [0.1, 0.7],
         background: 0.8,
         boundary_families: 0.8,
+        lamellae: 0.7,
+        hair: 0.4,
         bright: 0.08,
         ..LookSettings::default()
     }

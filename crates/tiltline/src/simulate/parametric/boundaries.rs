@@ -158,17 +158,34 @@ pub struct SlipTrace {
     contrast: f64,
     /// Relative height and offset in sigma of a second, opposite line.
     partner: Option<(f64, f64)>,
+    /// Broken into beads of surface dirt: period in px and strength.
+    beads: Option<(f64, f64)>,
 }
 
 impl SlipTrace {
-    /// A random trace on one of the surfaces.
-    pub fn random(rng: &mut Pcg64, extent_px: f64, thickness_px: f64) -> Self {
+    /// Parallel traces of one slip system, evenly strong, on either surface.
+    pub fn family(rng: &mut Pcg64, extent_px: f64, thickness_px: f64) -> Vec<Self> {
         let direction = rng.random_range(0.0..std::f64::consts::PI);
+        let model = Self::random(rng, extent_px, thickness_px, direction);
+        let members = [1, 1, 2, 3, 6][rng.random_range(0..5)];
+        let alike = chance(rng, 0.7);
+        let others: Vec<Self> = (1..members)
+            .map(|_| {
+                let turned = direction + rng.random_range(-0.01..0.01);
+                let own = Self::random(rng, extent_px, thickness_px, turned);
+                if alike { Self { ends: own.ends, ..model.clone() } } else { own }
+            })
+            .collect();
+        std::iter::once(model).chain(others).collect()
+    }
+
+    /// A random trace on one of the surfaces.
+    fn random(rng: &mut Pcg64, extent_px: f64, thickness_px: f64, direction: f64) -> Self {
         let along = Vector3::new(direction.cos(), direction.sin(), 0.0);
         let z = 0.5 * thickness_px * if chance(rng, 0.5) { 1.0 } else { -1.0 };
         let half = 0.5 * extent_px;
         let middle = Point3::new(rng.random_range(-half..half), rng.random_range(-half..half), z);
-        let (back, forth) = if chance(rng, 0.5) {
+        let (back, forth) = if chance(rng, 0.6) {
             (2.0 * extent_px, 2.0 * extent_px)
         } else {
             (rng.random_range(0.1..0.6) * extent_px, rng.random_range(0.1..0.6) * extent_px)
@@ -176,9 +193,10 @@ impl SlipTrace {
         let sign = if chance(rng, 0.5) { 1.0 } else { -1.0 };
         Self {
             ends: [middle - along * back, middle + along * forth],
-            sigma_px: rng.random_range(0.6..2.2),
-            contrast: sign * log_uniform(rng, [0.02, 0.25]),
+            sigma_px: log_uniform(rng, [0.6, 3.0]),
+            contrast: sign * log_uniform(rng, [0.02, 0.35]),
             partner: chance(rng, 0.5).then(|| (rng.random_range(0.3..1.0), rng.random_range(2.0..3.5))),
+            beads: chance(rng, 0.15).then(|| (rng.random_range(5.0..25.0), rng.random_range(0.3..0.9))),
         }
     }
 
@@ -186,12 +204,17 @@ impl SlipTrace {
     pub fn paint(&self, camera: &Camera, image: &mut Array2<f32>) {
         let line = camera.project_all(&self.ends);
         let (sigma, contrast) = (self.sigma_px as f32, self.contrast as f32);
+        let length = (line[1] - line[0]).norm();
         stroke(camera.shape, &line, 6.0 * self.sigma_px, |row, column, near| {
             let trough = |u: f32| (-0.5 * u * u).exp();
             let u = near.across / sigma;
             let mut value = trough(u);
             if let Some((height, offset)) = self.partner {
                 value -= height as f32 * trough(u - offset as f32);
+            }
+            if let Some((period, strength)) = self.beads {
+                let along = f64::from(near.place) * length / period;
+                value *= (1.0 - strength * (0.5 + 0.5 * (std::f64::consts::TAU * along).cos())) as f32;
             }
             image[[row, column]] *= 1.0 - contrast * value;
         });

@@ -1,4 +1,4 @@
-//! Dirt on the surfaces: blobs, black-white beads, short scratches and mottled patches.
+//! Dirt on the surfaces: blobs, black-white beads, smudges, short scratches and mottled patches.
 
 use ndarray::Array2;
 use rand::RngExt;
@@ -25,6 +25,8 @@ enum Kind {
     BlackWhite { radius_px: f64, contrast: f64, across: Vector3 },
     /// A short straight scratch or fibre, too short and too straight for a dislocation.
     Scratch { along: Vector3, sigma_px: f64, contrast: f64 },
+    /// A soft smudge, longer than wide and sharper on one side: along, widths of both sides px, contrast.
+    Smudge { along: Vector3, length_px: f64, widths_px: [f64; 2], contrast: f64 },
     /// A mottled patch: fine texture that fades outward.
     Patch { radius_px: f64, contrast: f64, texture: SmoothField },
 }
@@ -39,12 +41,21 @@ impl Debris {
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
         let direction = Vector3::new(angle.cos(), angle.sin(), 0.0);
         let kind = match rng.random_range(0.0..1.0) {
-            u if u < 0.68 => {
+            u if u < 0.58 => {
                 let radius_px = log_uniform(rng, [1.2, 16.0]);
                 let outline = SmoothField::new(rng, 6.0 * radius_px, (0.7 * radius_px).max(1.5));
                 Kind::Blob { radius_px, contrast, outline, roughness: rng.random_range(0.0..0.7) }
             }
-            u if u < 0.86 => Kind::BlackWhite { radius_px: log_uniform(rng, [1.2, 7.0]), contrast, across: direction },
+            u if u < 0.74 => Kind::BlackWhite { radius_px: log_uniform(rng, [1.2, 7.0]), contrast, across: direction },
+            u if u < 0.87 => {
+                let width_px = log_uniform(rng, [2.5, 16.0]);
+                Kind::Smudge {
+                    along: direction,
+                    length_px: width_px * rng.random_range(1.0..2.5),
+                    widths_px: [width_px, width_px * rng.random_range(0.15..1.0)],
+                    contrast: contrast.abs().min(0.5),
+                }
+            }
             u if u < 0.96 => Kind::Scratch {
                 along: direction * rng.random_range(3.0..10.0),
                 sigma_px: rng.random_range(0.8..2.0),
@@ -81,6 +92,13 @@ impl Debris {
                     let u = (dx * across.x + dy * across.y) / radius_px;
                     let r2 = (dx * dx + dy * dy) / (radius_px * radius_px);
                     *value *= 1.0 - (1.6 * contrast * u * (-0.5 * r2).exp()) as f32;
+                });
+            }
+            Kind::Smudge { along, length_px, widths_px: [soft, sharp], contrast } => {
+                spot(&self.position, 3.0 * length_px.max(*soft), &mut |value, dx, dy| {
+                    let (u, v) = (dx * along.x + dy * along.y, dx * along.y - dy * along.x);
+                    let width = if v > 0.0 { soft } else { sharp };
+                    *value *= 1.0 - (contrast * (-(u / length_px).powi(2) - (v / width).powi(2)).exp()) as f32;
                 });
             }
             Kind::Scratch { along, sigma_px, contrast } => {

@@ -9,6 +9,7 @@
 pub mod background;
 pub mod boundaries;
 pub mod debris;
+pub mod lamellae;
 pub mod lines;
 
 use ndarray::Array2;
@@ -23,6 +24,7 @@ use crate::simulate::settings::{SimulateError, check_range, check_value};
 use background::Background;
 use boundaries::{Boundary, SlipTrace};
 use debris::Debris;
+use lamellae::{Hair, Lamella};
 use lines::{DrawnLine, Line};
 
 /// What a random specimen may look like; ranges are `[low, high]`.
@@ -39,7 +41,11 @@ pub struct LookSettings {
     pub bright: f64,
     /// Mean number of families of planar boundaries.
     pub boundary_families: f64,
-    /// Mean number of slip traces.
+    /// Mean number of stacks of lamellae.
+    pub lamellae: f64,
+    /// Mean number of interfaces full of strokes too dense to trace.
+    pub hair: f64,
+    /// Mean number of families of slip traces.
     pub slip_traces: f64,
     /// Mean number of specks of dirt for an image of 512 x 512 px.
     pub debris: f64,
@@ -55,6 +61,8 @@ impl Default for LookSettings {
             one_sided: 0.12,
             bright: 0.15,
             boundary_families: 0.9,
+            lamellae: 0.25,
+            hair: 0.2,
             slip_traces: 0.8,
             debris: 12.0,
             background: 1.0,
@@ -73,6 +81,8 @@ impl LookSettings {
         check_value("look.one_sided", self.one_sided, [0.0, 1.0])?;
         check_value("look.bright", self.bright, [0.0, 1.0])?;
         check_value("look.boundary_families", self.boundary_families, [0.0, 20.0])?;
+        check_value("look.lamellae", self.lamellae, [0.0, 20.0])?;
+        check_value("look.hair", self.hair, [0.0, 20.0])?;
         check_value("look.slip_traces", self.slip_traces, [0.0, 100.0])?;
         check_value("look.debris", self.debris, [0.0, 10_000.0])?;
         check_value("look.background", self.background, [0.0, 4.0])
@@ -84,6 +94,8 @@ impl LookSettings {
 pub struct Specimen {
     lines: Vec<Line>,
     background: Background,
+    lamellae: Vec<Lamella>,
+    hair: Vec<Hair>,
     boundaries: Vec<Boundary>,
     traces: Vec<SlipTrace>,
     debris: Vec<Debris>,
@@ -116,22 +128,31 @@ impl Specimen {
         let families = count(rng, look.boundary_families);
         let mut boundaries = boundaries::on_planes(rng, walls, extent_px, thickness_px);
         boundaries.extend((0..families).flat_map(|_| boundaries::family(rng, extent_px, thickness_px)));
+        let lamellae =
+            (0..count(rng, look.lamellae)).flat_map(|_| lamellae::stack(rng, extent_px, thickness_px)).collect();
+        let hair = (0..count(rng, look.hair)).map(|_| Hair::random(rng, extent_px)).collect();
         let traces =
-            (0..count(rng, look.slip_traces)).map(|_| SlipTrace::random(rng, extent_px, thickness_px)).collect();
+            (0..count(rng, look.slip_traces)).flat_map(|_| SlipTrace::family(rng, extent_px, thickness_px)).collect();
         let debris =
             (0..count(rng, look.debris * area)).map(|_| Debris::random(rng, extent_px, thickness_px)).collect();
         let background = Background::random(rng, extent_px, look.background);
         let style = lines::Style::random(rng, look);
         let lines = curves.iter().map(|curve| Line::random(rng, curve.clone(), &style, look)).collect();
-        Self { lines, background, boundaries, traces, debris }
+        Self { lines, background, lamellae, hair, boundaries, traces, debris }
     }
 
     /// Paints the specimen as seen by a camera; `index` is the view's number (lines and background differ between
     /// views, as in a microscope).
     pub fn view(&self, camera: &Camera, index: usize) -> View {
         let mut image = self.background.paint(camera, index);
+        for lamella in &self.lamellae {
+            lamella.paint(camera, index, &mut image);
+        }
         for boundary in &self.boundaries {
             boundary.paint(camera, index, &mut image);
+        }
+        for hair in &self.hair {
+            hair.paint(camera, &mut image);
         }
         for trace in &self.traces {
             trace.paint(camera, &mut image);
