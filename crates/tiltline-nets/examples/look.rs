@@ -30,9 +30,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             };
             let image = part(&batch.left)?;
             let lines = part(&batch.left_lines)?.mapv(|line| if line.is_nan() { 0.5 } else { line });
-            let probability = detector.probability(&image);
+            let probability = detector.probability_of_flattened(&image);
             for (place, map) in [image, lines, probability].iter().enumerate() {
                 let (top, left) = (row as usize * side, (3 * crop + place) * side);
+                let map = if place == 0 { map / 6.0 + 0.5 } else { map.clone() };
                 let grey = map.mapv(|value| (255.0 * value.clamp(0.0, 1.0)) as u8);
                 sheet.slice_mut(s![top..top + side, left..left + side]).assign(&grey);
             }

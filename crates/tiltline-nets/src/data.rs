@@ -134,7 +134,7 @@ pub struct Batch {
     pub count: usize,
     /// Side of each, px.
     pub side: usize,
-    /// Left images `[count, side, side]`.
+    /// Left images `[count, side, side]`, flattened.
     pub left: Vec<f32>,
     /// Right images; empty for [`Task::Detector`].
     pub right: Vec<f32>,

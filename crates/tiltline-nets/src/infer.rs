@@ -20,6 +20,7 @@ use tiltline::rectify::RectifiedPair;
 
 use crate::config::{DetectorConfig, MatcherConfig, MatcherInput};
 use crate::detector::{Detected, Detector};
+use crate::flatten::flattened;
 use crate::matcher::Matcher;
 use crate::networks::matcher_input;
 use crate::score::probability;
@@ -77,10 +78,10 @@ impl Named {
     }
 }
 
-/// An image as `[1, 1, H, W]`, 0 where there is no data.
+/// A flattened image, or a map, as `[1, 1, H, W]`.
 fn tensor(image: &Array2<f32>, device: &Device) -> Tensor<4> {
     let (rows, columns) = image.dim();
-    let values: Vec<f32> = image.iter().map(|value| if value.is_finite() { *value } else { 0.0 }).collect();
+    let values: Vec<f32> = image.iter().copied().collect();
     Tensor::from_data(TensorData::new(values, [1, 1, rows, columns]), device)
 }
 
@@ -122,13 +123,24 @@ impl NetDetector {
         field.next_multiple_of(self.config.multiple())
     }
 
-    /// Line probability `[row, column]` of a normalised image.
+    /// Line probability `[row, column]` of a normalised image, 0 where it has no data.
     pub fn probability(&self, image: &Array2<f32>) -> Array2<f32> {
-        let mut result = Array2::zeros(image.dim());
+        let mut result = self.probability_of_flattened(&flattened(image));
+        result.zip_mut_with(image, |value, pixel| {
+            if !pixel.is_finite() {
+                *value = 0.0;
+            }
+        });
+        result
+    }
+
+    /// The same of an image that is flattened already, as training batches are.
+    pub fn probability_of_flattened(&self, seen: &Array2<f32>) -> Array2<f32> {
+        let mut result = Array2::zeros(seen.dim());
         let along = |count| tiles(count, TILE_PX, self.margin_px(), self.config.multiple());
-        for rows in along(image.nrows()) {
-            for columns in along(image.ncols()) {
-                let part = cut(image, &rows, &columns);
+        for rows in along(seen.nrows()) {
+            for columns in along(seen.ncols()) {
+                let part = cut(seen, &rows, &columns);
                 let shape = part.dim();
                 let values = probability(self.network.forward(tensor(&part, &self.device)).logits);
                 let values = Array2::from_shape_vec(shape, values).expect("a probability for each pixel");
@@ -137,11 +149,6 @@ impl NetDetector {
                     .assign(&values.slice(s![rows.inner(), columns.inner()]));
             }
         }
-        result.zip_mut_with(image, |value, pixel| {
-            if !pixel.is_finite() {
-                *value = 0.0;
-            }
-        });
         result
     }
 }
@@ -207,6 +214,7 @@ impl NetMatcher {
     /// Costs of all disparities near the given left points, and nowhere else if the image is larger than a tile.
     fn costs(&self, pair: &RectifiedPair, lines: &[LineMap; 2], needed: &Array2<bool>) -> Costs {
         let mut costs = Costs::new(pair.left.dim(), &self.config);
+        let seen = [&pair.left, &pair.right].map(flattened);
         let along = |count| tiles(count, TILE_PX, MATCHER_MARGIN_PX, self.config.multiple());
         for rows in along(pair.left.nrows()) {
             for columns in along(pair.left.ncols()) {
@@ -216,7 +224,7 @@ impl NetMatcher {
                 let input = |image: &Array2<f32>, lines: &LineMap| {
                     self.input(&cut(image, &rows, &columns), &cut(&lines.probability, &rows, &columns))
                 };
-                let (left, right) = (input(&pair.left, &lines[0]), input(&pair.right, &lines[1]));
+                let (left, right) = (input(&seen[0], &lines[0]), input(&seen[1], &lines[1]));
                 let cost = self.network.forward(left, right).pop().expect("there is a hourglass at least");
                 costs.put(cost, &rows, &columns);
             }

@@ -28,7 +28,7 @@ const KEY: &str = "tiltline";
 /// Version of the metadata.
 const FORMAT: u32 = 1;
 /// How images are normalised before they go in; there is one way so far.
-const NORMALISATION: &str = "micrograph-v1";
+const NORMALISATION: &str = "flattened-1";
 
 /// Which network, and what it is made of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

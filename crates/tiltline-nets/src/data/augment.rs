@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use tiltline::filter::{gaussian_blur, sample_cubic};
 
 use super::{DataError, Example, Task};
+use crate::flatten::flattened;
 
 /// Crops with too little in them are drawn again this many times.
 const TRIES: usize = 6;
@@ -227,7 +228,7 @@ impl Window {
 }
 
 impl Crop {
-    /// A random crop.
+    /// A random crop, its images as networks see them.
     pub fn random(example: &Example, task: Task, side: usize, settings: &AugmentSettings, rng: &mut Pcg64) -> Self {
         // Both views are images with lines.
         let view = if task == Task::Detector { rng.random_range(0..2) } else { 0 };
@@ -246,6 +247,7 @@ impl Crop {
             crop = Self::cut(example, &Window::random(example, task, side, settings, rng), task, view);
         }
         crop.change(settings, rng);
+        crop.images = crop.images.map(|image| if image.is_empty() { image } else { flattened(&image) });
         crop
     }
 

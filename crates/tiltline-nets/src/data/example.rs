@@ -20,7 +20,7 @@ use super::{DataError, DataSettings};
 /// Rows of both sides of a labelled match may differ by this much, px.
 const SAME_ROW_PX: f64 = 2.0;
 /// Lines are asked for where their contrast is this many times what counts as visible in scores.
-const SURELY_VISIBLE: f64 = 1.2;
+const SURELY_VISIBLE: f64 = 2.0;
 
 /// A stereo pair on a rectified grid.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,8 +67,9 @@ impl Example {
             size_px: settings.simulated_px,
             tilts_deg: vec![mid - half, mid + half],
             alignment: AlignmentSettings { shift: 0.0, axis_deg: 0.0, turn_deg: 0.0, scale: 0.0 },
-            // Lines that are hardly seen are left open: asked for, they would teach to see lines in noise.
+            // Lines that are hardly seen are left open: asked for, they would teach to see lines in noise and mottling.
             visible_above_noise: SURELY_VISIBLE * family.visible_above_noise,
+            least_contrast: SURELY_VISIBLE * family.least_contrast,
             ..family
         };
         let sample = sample(&simulate, Lines::Random, geometry_seed(split, index))?;

@@ -23,8 +23,11 @@ fn a_tiled_detection_is_that_of_the_whole_image() {
     let detector = NetDetector::new(&named, &device).unwrap();
     let image = image(700, 610);
     let tiled = detector.probability(&image);
-    let whole =
-        cut(&image, &Tile { start: 0, length: 704, keep: 0..700 }, &Tile { start: 0, length: 616, keep: 0..610 });
+    let whole = cut(
+        &flattened(&image),
+        &Tile { start: 0, length: 704, keep: 0..700 },
+        &Tile { start: 0, length: 616, keep: 0..610 },
+    );
     let values = probability(detector.network.forward(tensor(&whole, &device)).logits);
     let whole = Array2::from_shape_vec((704, 616), values).unwrap();
     assert!(tiles(700, TILE_PX, detector.margin_px(), 8).len() == 2, "the test must see a border of tiles");

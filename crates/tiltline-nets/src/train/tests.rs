@@ -120,7 +120,7 @@ fn the_detector_learns_a_few_images_by_heart() {
         let image = ndarray::Array2::from_shape_vec(shape, image.to_vec()).unwrap();
         let lines = ndarray::Array2::from_shape_vec(shape, lines.to_vec()).unwrap();
         // Where it is not known whether there is a line, nothing is asked.
-        let found = ndarray::Zip::from(&detector.probability(&image))
+        let found = ndarray::Zip::from(&detector.probability_of_flattened(&image))
             .and(&lines)
             .map_collect(|p, line| *p > 0.5 && !line.is_nan());
         let score =
