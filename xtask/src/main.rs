@@ -1,4 +1,4 @@
-//! The project's own chores: `cargo xtask ci|test|reference|accuracy|figures|example`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|real|weights|figures|example`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod accuracy;
@@ -6,8 +6,10 @@ mod chores;
 mod example;
 mod figures;
 mod npy;
+mod real;
 mod reference;
 mod venv;
+mod weights;
 
 use miette::{Result, miette};
 
@@ -16,6 +18,8 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   test                  the tests
   reference [TOPIC...]  comparisons with independent implementations (needs Python)
   accuracy              scores the program on the fixed sets: docs/accuracy.md
+  real [IMAGES]         the detector on real images labelled by hand (xtask/labels)
+  weights               trains the shipped networks again (hours; goes on where it was stopped)
   figures               draws the pictures of docs/simulator.md again
   example               renders the example pair in examples/ again";
 
@@ -26,6 +30,8 @@ fn main() -> Result<()> {
         Some("test") => chores::test(),
         Some("reference") => reference::run(&arguments[1..]),
         Some("accuracy") => accuracy::measure(),
+        Some("real") => real::measure(&arguments[1..]),
+        Some("weights") => weights::train(),
         Some("figures") => figures::draw(),
         Some("example") => example::render_pair(),
         _ => Err(miette!("{USAGE}")),

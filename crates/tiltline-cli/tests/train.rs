@@ -56,7 +56,8 @@ fn a_detector_and_a_matcher_are_trained_resumed_and_used() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     train(here, &["detector", "--steps", "4", "-o", "detector"]).assert().success();
-    for file in ["train.toml", "best.safetensors", "last.safetensors", "metrics.jsonl", "curves.svg"] {
+    for file in ["train.toml", "best.safetensors", "last.safetensors", "metrics.jsonl", "curves.svg", "validation.png"]
+    {
         assert!(here.join("detector").join(file).is_file(), "{file}");
     }
     let again = train(here, &["detector", "-o", "detector"]).assert().code(1).get_output().clone();

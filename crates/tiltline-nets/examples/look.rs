@@ -6,6 +6,7 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use ndarray::{Array2, s};
+use tiltline::export::png::write_grey;
 use tiltline::simulate::geometry::Split;
 use tiltline_nets::data::{DataSettings, Source, Task};
 use tiltline_nets::infer::{Named, NetDetector};
@@ -39,9 +40,6 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         }
     }
-    let file = std::fs::File::create(out)?;
-    let mut encoder = png::Encoder::new(file, sheet.ncols() as u32, sheet.nrows() as u32);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.write_header()?.write_image_data(sheet.as_slice().ok_or("the sheet is contiguous")?)?;
+    write_grey(&sheet, &mut std::fs::File::create(out)?)?;
     Ok(())
 }

@@ -12,8 +12,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use ndarray::{Array2, s};
 use serde::Deserialize;
-use tiltline::curve::LineMap;
-use tiltline::dataset::LINE_WIDTH_PX;
+use tiltline::export::png::write_grey;
 use tiltline::geometry::Point2;
 use tiltline::io::read_micrograph;
 use tiltline::trace::{TraceSettings, trace};
@@ -79,6 +78,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let detector = NetDetector::new(&named, &Device::flex())?;
     std::fs::create_dir_all(out)?;
+    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse::<f32>().ok());
+    let settings = TraceSettings {
+        high: number("HIGH").unwrap_or(0.5),
+        low: number("LOW").unwrap_or(0.25),
+        ..TraceSettings::default()
+    };
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(labels)?.map(|entry| Ok(entry?.path())).collect::<Result<_, std::io::Error>>()?;
     files.retain(|path| path.extension().is_some_and(|ending| ending == "json"));
@@ -93,8 +98,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         let unknown = shapes("unknown");
         let lines: Vec<Point2> = shapes("line").iter().flat_map(|points| along(points)).collect();
         let image = read_micrograph(&Path::new(images).join(&labels.image_path).to_string_lossy())?.normalised();
-        let map = LineMap { probability: detector.probability(&image), line_width_px: LINE_WIDTH_PX };
-        let graph = trace(&map, &TraceSettings::default());
+        let octave =
+            std::env::var("OCTAVE").ok().and_then(|o| o.parse().ok()).unwrap_or_else(|| detector.octave(&image));
+        let map = detector.lines(&image, octave);
+        let graph = trace(&map, &settings);
         let traced: Vec<Point2> = graph
             .traces
             .iter()
@@ -149,8 +156,6 @@ fn picture(
             sheet[[row, 2 * columns + column]] = 255;
         }
     }
-    let mut encoder = png::Encoder::new(std::fs::File::create(path)?, sheet.ncols() as u32, sheet.nrows() as u32);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.write_header()?.write_image_data(sheet.as_slice().ok_or("the sheet is contiguous")?)?;
+    write_grey(&sheet, &mut std::fs::File::create(path)?)?;
     Ok(())
 }

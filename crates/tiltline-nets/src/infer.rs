@@ -5,6 +5,7 @@
 
 mod costs;
 mod curves;
+mod octaves;
 mod tiles;
 
 use std::path::{Path, PathBuf};
@@ -26,10 +27,20 @@ use crate::networks::matcher_input;
 use crate::score::probability;
 use crate::weights::{NetworkConfig, Weights, WeightsError};
 use costs::Costs;
+use octaves::{enlarged, halved};
 use tiles::{Tile, tiles};
 
 /// Side of a tile without its margins, px.
 const TILE_PX: usize = 512;
+/// Side of the part of an image that its magnification is judged by, px.
+const JUDGED_PX: usize = 1024;
+/// Images are halved this many times at most, and not below this side.
+const MOST_OCTAVES: u32 = 3;
+const LEAST_SIDE_PX: usize = 160;
+/// Probability above which a pixel speaks for a magnification.
+const SURE: f32 = 0.6;
+/// How much more must be found in an image of half the size before it is preferred: less detail is a loss of its own.
+const FINER_FIRST: f64 = 0.8;
 /// Margin of the matcher's tiles, px: its field of view and the largest disparity.
 const MATCHER_MARGIN_PX: usize = 128;
 
@@ -123,9 +134,13 @@ impl NetDetector {
         field.next_multiple_of(self.config.multiple())
     }
 
-    /// Line probability `[row, column]` of a normalised image, 0 where it has no data.
-    pub fn probability(&self, image: &Array2<f32>) -> Array2<f32> {
-        let mut result = self.probability_of_flattened(&flattened(image));
+    /// Line probability `[row, column]` of a normalised image as seen when it is halved `octave` times, 0 where it has no data.
+    pub fn probability(&self, image: &Array2<f32>, octave: u32) -> Array2<f32> {
+        let mut small = image.clone();
+        for _ in 0..octave {
+            small = halved(&small);
+        }
+        let mut result = enlarged(&self.probability_of_flattened(&flattened(&small)), octave, image.dim());
         result.zip_mut_with(image, |value, pixel| {
             if !pixel.is_finite() {
                 *value = 0.0;
@@ -151,12 +166,44 @@ impl NetDetector {
         }
         result
     }
+
+    /// How often an image is halved before lines are looked for: lines should be as wide as those the network was taught (some 2
+    /// to 10 px), and where they are, it finds most. Judged on the middle of large images.
+    pub fn octave(&self, image: &Array2<f32>) -> u32 {
+        let part = |length: usize| {
+            let start = length.saturating_sub(JUDGED_PX) / 2;
+            start..(start + JUDGED_PX).min(length)
+        };
+        let mut image = image.slice(s![part(image.nrows()), part(image.ncols())]).to_owned();
+        let mut best = (0, 0.0);
+        for octave in 0..=MOST_OCTAVES {
+            let map = self.probability_of_flattened(&flattened(&image));
+            // A line is as many px wide in each map: its area there is its length in px of that map.
+            let area: f64 = map.iter().map(|p| f64::from((p - SURE).max(0.0))).sum();
+            let length = area * f64::from(1_u32 << octave) * FINER_FIRST.powi(octave as i32);
+            if length > best.1 {
+                best = (octave, length);
+            }
+            image = halved(&image);
+            if image.nrows().min(image.ncols()) < LEAST_SIDE_PX {
+                break;
+            }
+        }
+        best.0
+    }
+
+    /// Lines of a normalised image at a magnification (see [`NetDetector::octave`]).
+    pub fn lines(&self, image: &Array2<f32>, octave: u32) -> LineMap {
+        // Whatever the width of a line, the network was taught to mark its middle.
+        let line_width_px = LINE_WIDTH_PX * f64::from(1_u32 << octave);
+        LineMap { probability: self.probability(image, octave), line_width_px }
+    }
 }
 
 impl Detect for NetDetector {
     fn detect(&self, pair: &RectifiedPair, view: View) -> LineMap {
-        // Whatever the width of a line, the network was taught to mark its middle.
-        LineMap { probability: self.probability(pair.view(view)), line_width_px: LINE_WIDTH_PX }
+        // Both views at the magnification that the left one wants: their lines must be comparable.
+        self.lines(pair.view(view), self.octave(&pair.left))
     }
 }
 

@@ -7,6 +7,7 @@ use burn::tensor::activation::sigmoid;
 
 use crate::data::Batch;
 use crate::losses::Labelled;
+use crate::matcher::Matcher;
 use crate::networks::{Networks, matcher_input};
 use crate::train::TrainSettings;
 use crate::volume::{at_levels, at_pixels, probabilities, soft_argmin};
@@ -60,16 +61,9 @@ fn disparity(
         if labelled.is_empty() {
             continue;
         }
-        let inputs = [&batch.left, &batch.right].map(|values| {
-            let images = crate::train::images(values, batch, device);
-            matcher_input(images.clone(), networks.detector.forward(images), config)
-        });
-        let [left, right] = inputs;
-        let cost = matcher.forward(left, right).pop().expect("there is a hourglass at least");
-        let rows = at_levels(at_pixels(cost, config).select(0, labelled.indices(device)), config);
-        let found: Vec<f32> =
-            soft_argmin(probabilities(rows), config).into_data().try_to_vec().expect("disparities are f32");
-        errors.extend(found.iter().zip(&labelled.values).map(|(found, truth)| f64::from((found - truth).abs())));
+        let found = found_disparity(networks, matcher, batch, settings, device);
+        let pairs = labelled.pixels.iter().zip(&labelled.values);
+        errors.extend(pairs.map(|(pixel, truth)| f64::from((found[*pixel as usize] - truth).abs())));
     }
     let count = errors.len().max(1) as f64;
     let epe = errors.iter().sum::<f64>() / count;
@@ -77,6 +71,24 @@ fn disparity(
     [("epe", epe), ("bad-1", bad(1.0)), ("bad-3", bad(3.0)), ("bad-5", bad(5.0)), ("error", bad(1.0) + 0.1 * epe)]
         .map(|(name, value)| (name.to_owned(), value))
         .into()
+}
+
+/// The matcher's disparity at every pixel of the left crops of a batch, px.
+pub fn found_disparity(
+    networks: &Networks,
+    matcher: &Matcher,
+    batch: &Batch,
+    settings: &TrainSettings,
+    device: &Device,
+) -> Vec<f32> {
+    let config = &settings.matcher;
+    let [left, right] = [&batch.left, &batch.right].map(|values| {
+        let images = crate::train::images(values, batch, device);
+        matcher_input(images.clone(), networks.detector.forward(images), config)
+    });
+    let cost = matcher.forward(left, right).pop().expect("there is a hourglass at least");
+    let rows = at_levels(at_pixels(cost, config), config);
+    soft_argmin(probabilities(rows), config).into_data().try_to_vec().expect("disparities are f32")
 }
 
 /// Line probabilities of logits, for pictures.

@@ -1,12 +1,13 @@
 //! Training: batches in, weights out; resumable, and the same for any number of threads.
 //!
 //! A run is a folder: `train.toml` (all settings), `checkpoint-*.safetensors` (the last few), `best.safetensors` and
-//! `last.safetensors` (weights to use), `metrics.jsonl`, `curves.svg`.
+//! `last.safetensors` (weights to use), `metrics.jsonl`, `curves.svg`, `validation.png`.
 
 mod adam;
 mod checkpoint;
 mod memory;
 mod metrics;
+mod picture;
 mod step;
 
 pub use step::images;
@@ -320,7 +321,10 @@ impl Run {
                 go_on = self.report("train", rate, means, report)?;
             }
             if last || step.is_multiple_of(self.settings.validate_every.max(1)) {
-                let values = validate(&self.networks.valid(), &validation, &self.settings, &self.device);
+                let networks = self.networks.valid();
+                let values = validate(&networks, &validation, &self.settings, &self.device);
+                let path = self.folder.join("validation.png");
+                picture::write(&path, &networks, &validation, &self.settings, &self.device)?;
                 let score = values.get("error").copied().unwrap_or(f64::INFINITY);
                 go_on &= self.report("validation", rate, values, report)?;
                 if self.progress.best.is_none_or(|(best, _)| score < best) {

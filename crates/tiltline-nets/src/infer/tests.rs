@@ -22,7 +22,7 @@ fn a_tiled_detection_is_that_of_the_whole_image() {
     let named = Named { path: "test".into(), weights };
     let detector = NetDetector::new(&named, &device).unwrap();
     let image = image(700, 610);
-    let tiled = detector.probability(&image);
+    let tiled = detector.probability(&image, 0);
     let whole = cut(
         &flattened(&image),
         &Tile { start: 0, length: 704, keep: 0..700 },

@@ -40,6 +40,16 @@ pub fn lines_on_input(reconstruction: &Reconstruction, view: View) -> Array2<u8>
     image
 }
 
+/// Writes a grey picture `[row, column]`.
+///
+/// # Errors
+/// Where `out` cannot be written to, or a side is longer than PNG allows.
+pub fn write_grey(image: &Array2<u8>, out: &mut (impl Write + ?Sized)) -> io::Result<()> {
+    let (height, width) = image.dim();
+    let pixels: Vec<u8> = image.iter().copied().collect();
+    encode(out, [height, width], png::ColorType::Grayscale, &pixels)
+}
+
 /// Encodes 8-bit rows, fast rather than small.
 pub(crate) fn encode(
     out: &mut (impl Write + ?Sized),

@@ -1,0 +1,85 @@
+//! `cargo xtask weights`: trains the shipped detector and matcher again from nothing, and puts them where the program embeds them.
+//!
+//! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`; data and first weights follow
+//! from their seeds, so the first steps must give the losses of the committed weights' record, and that is checked.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use miette::{IntoDiagnostic, Result, miette};
+use serde_json::Value;
+
+use crate::venv::root;
+
+/// Steps whose losses must be those of the record.
+const CHECKED_STEPS: u64 = 200;
+/// Losses may differ by this share: other processors add in other orders, and a training amplifies that.
+const TOLERANCE: f64 = 0.05;
+
+/// Trains both networks.
+pub fn train() -> Result<()> {
+    network("detector", None)?;
+    network("matcher", Some("target/weights/detector/last.safetensors"))
+}
+
+fn network(kind: &str, from: Option<&str>) -> Result<()> {
+    let run = format!("target/weights/{kind}");
+    let shipped = format!("crates/tiltline-nets/weights/{kind}.safetensors");
+    let expected = curve(&root().join(&shipped))?;
+    let mut arguments = vec!["run", "--release", "--quiet", "-p", "tiltline-cli", "--", "train"];
+    let settings = format!("xtask/weights/{kind}.toml");
+    if root().join(&run).join("train.toml").exists() {
+        arguments.extend(["--resume", &run]);
+    } else {
+        arguments.extend([kind, "--config", &settings, "-o", &run]);
+        arguments.extend(from.iter().flat_map(|from| ["--from", from]));
+    }
+    if !done(&root().join(&run))? {
+        cargo(&arguments)?;
+    }
+    let metrics = fs::read_to_string(root().join(&run).join("metrics.jsonl")).into_diagnostic()?;
+    for (step, loss) in losses(&metrics)?.into_iter().filter(|(step, _)| *step <= CHECKED_STEPS) {
+        let Some((_, before)) = expected.iter().find(|(known, _)| *known == step) else { continue };
+        if (loss / before - 1.0).abs() > TOLERANCE {
+            return Err(miette!("the loss at step {step} is {loss}, and {before} in the record of {shipped}"));
+        }
+    }
+    let commit =
+        Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root()).output().into_diagnostic()?;
+    let commit = String::from_utf8_lossy(&commit.stdout).trim().to_owned();
+    cargo(&["run", "--release", "--quiet", "-p", "tiltline-nets", "--example", "pack", "--", &run, &shipped, &commit])
+}
+
+/// Whether a run has reached its last step.
+fn done(run: &Path) -> Result<bool> {
+    let Ok(text) = fs::read_to_string(run.join("train.toml")) else { return Ok(false) };
+    let settings: toml::Table = text.parse().into_diagnostic()?;
+    let steps = settings.get("steps").and_then(toml::Value::as_integer).unwrap_or(i64::MAX);
+    let metrics = fs::read_to_string(run.join("metrics.jsonl")).unwrap_or_default();
+    Ok(losses(&metrics)?.last().is_some_and(|(step, _)| *step as i64 >= steps))
+}
+
+/// Steps and losses of the training lines of a curve.
+fn losses(metrics: &str) -> Result<Vec<(u64, f64)>> {
+    let lines: Vec<Value> = metrics.lines().map(serde_json::from_str).collect::<Result<_, _>>().into_diagnostic()?;
+    let train = lines.iter().filter(|line| line["kind"] == "train");
+    Ok(train.filter_map(|line| Some((line["step"].as_u64()?, line["values"]["loss"].as_f64()?))).collect())
+}
+
+/// The curve in the record of a weight file: safetensors begin with the length of their JSON header.
+fn curve(path: &Path) -> Result<Vec<(u64, f64)>> {
+    let bytes = fs::read(path).into_diagnostic()?;
+    let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(|| miette!("{} is cut off", path.display()))?;
+    let header =
+        rest.get(..u64::from_le_bytes(*length) as usize).ok_or_else(|| miette!("{} is cut off", path.display()))?;
+    let header: Value = serde_json::from_slice(header).into_diagnostic()?;
+    let record = header["__metadata__"]["tiltline"].as_str().unwrap_or("{}");
+    let record: Value = serde_json::from_str(record).into_diagnostic()?;
+    losses(record["record"]["curve"].as_str().unwrap_or_default())
+}
+
+fn cargo(arguments: &[&str]) -> Result<()> {
+    let status = Command::new(env!("CARGO")).args(arguments).current_dir(root()).status().into_diagnostic()?;
+    if status.success() { Ok(()) } else { Err(miette!("cargo {} failed", arguments.join(" "))) }
+}
