@@ -67,14 +67,23 @@ impl Stages {
             prepare_memory();
         }
         let device = Place::Cpu.device().into_diagnostic()?;
+        let mut taken: Option<Named> = None;
         let mut take = |detector: bool| -> Result<Named> {
+            // A matcher of features looks at those of the detector in use.
+            if let (true, Some(named)) = (detector, &taken) {
+                return Ok(named.clone());
+            }
             let found =
                 given.iter().position(|named| matches!(named.weights.network, NetworkConfig::Detector(_)) == detector);
-            match found {
-                Some(index) => Ok(given.remove(index)),
-                None if detector => Named::built_in_detector().into_diagnostic(),
-                None => Named::built_in_matcher().into_diagnostic(),
+            let named = match found {
+                Some(index) => given.remove(index),
+                None if detector => Named::built_in_detector().into_diagnostic()?,
+                None => Named::built_in_matcher().into_diagnostic()?,
+            };
+            if detector {
+                taken = Some(named.clone());
             }
+            Ok(named)
         };
         let name = |named: &Named| format!("net {}", &named.weights.sha256[..16]);
         let (ridge, classical) = (("ridge".to_owned()), "classical".to_owned());
@@ -88,7 +97,16 @@ impl Stages {
             let named = take(false)?;
             let features = match &named.weights.network {
                 NetworkConfig::Matcher(config) if config.input == tiltline_nets::config::MatcherInput::Features => {
-                    Some(NetDetector::new(&take(true)?, &device).into_diagnostic()?)
+                    let detector = take(true)?;
+                    if let Some(known) =
+                        named.weights.record.get("from-detector").filter(|known| **known != detector.weights.sha256)
+                    {
+                        return Err(miette!(
+                            "{} was trained on the features of the detector with SHA-256 {known}; give that one with --weights",
+                            named.path.display()
+                        ));
+                    }
+                    Some(NetDetector::new(&detector, &device).into_diagnostic()?)
                 }
                 _ => None,
             };

@@ -135,7 +135,13 @@ impl MatcherConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         let Self { features, groups, concatenated, channels, levels, .. } = *self;
         check(&[
-            ("input-channels", self.input_channels, (1..=MOST).contains(&self.input_channels), "1 to 1024"),
+            ("input_channels", self.input_channels, (1..=MOST).contains(&self.input_channels), "1 to 1024"),
+            (
+                "input_channels",
+                self.input_channels,
+                self.input == MatcherInput::Features || self.input_channels == 2,
+                "2, the image and its probability",
+            ),
             ("features", features, (1..=MOST).contains(&features), "1 to 1024"),
             ("downscale", self.downscale, self.downscale == 2 || self.downscale == 4, "2 or 4"),
             ("groups", groups, groups == 0 || features.is_multiple_of(groups), "0 or a divisor of features"),

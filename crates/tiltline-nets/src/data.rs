@@ -268,6 +268,18 @@ impl Source {
 }
 
 impl DataSettings {
+    /// Checks that crops have sides that networks can take.
+    ///
+    /// # Errors
+    /// Where they have not.
+    pub fn fits(&self, multiple: usize) -> Result<(), DataError> {
+        if self.crop_px.is_multiple_of(multiple) {
+            return Ok(());
+        }
+        let value = format!("{}, and the networks take multiples of {multiple}", self.crop_px);
+        Err(DataError::Setting { name: "crop_px", value, wanted: "a multiple of that" })
+    }
+
     /// Checks every number.
     ///
     /// # Errors
@@ -310,7 +322,8 @@ pub fn validation(settings: &DataSettings, task: Task, count: usize) -> Result<V
     let plain = DataSettings {
         batch: 1,
         crops_per_example: 1,
-        crop_px: settings.crop_px.max(256).min(settings.simulated_px / 16 * 16),
+        // Multiples of 64 suit every network.
+        crop_px: settings.crop_px.max(256).min(settings.simulated_px).max(64) / 64 * 64,
         augment: AugmentSettings::none(),
         ..settings.clone()
     };

@@ -32,8 +32,8 @@ use tiles::{Tile, tiles};
 
 /// Side of a tile without its margins, px.
 const TILE_PX: usize = 512;
-/// Side of the part of an image that its magnification is judged by, px.
-const JUDGED_PX: usize = 1024;
+/// Side of the part of an image, halved as it is, that its magnification is judged by, px.
+const JUDGED_PX: usize = 768;
 /// Images are halved this many times at most, and not below this side.
 const MOST_OCTAVES: u32 = 3;
 const LEAST_SIDE_PX: usize = 160;
@@ -41,8 +41,6 @@ const LEAST_SIDE_PX: usize = 160;
 const SURE: f32 = 0.6;
 /// How much more must be found in an image of half the size before it is preferred: less detail is a loss of its own.
 const FINER_FIRST: f64 = 0.8;
-/// Margin of the matcher's tiles, px: its field of view and the largest disparity.
-const MATCHER_MARGIN_PX: usize = 128;
 
 /// Weights as a file or as part of the program, with a name for messages.
 #[derive(Clone, Debug)]
@@ -174,13 +172,14 @@ impl NetDetector {
             let start = length.saturating_sub(JUDGED_PX) / 2;
             start..(start + JUDGED_PX).min(length)
         };
-        let mut image = image.slice(s![part(image.nrows()), part(image.ncols())]).to_owned();
+        let mut image = image.clone();
         let mut best = (0, 0.0);
         for octave in 0..=MOST_OCTAVES {
-            let map = self.probability_of_flattened(&flattened(&image));
-            // A line is as many px wide in each map: its area there is its length in px of that map.
-            let area: f64 = map.iter().map(|p| f64::from((p - SURE).max(0.0))).sum();
-            let length = area * f64::from(1_u32 << octave) * FINER_FIRST.powi(octave as i32);
+            let middle = image.slice(s![part(image.nrows()), part(image.ncols())]).to_owned();
+            let map = self.probability_of_flattened(&flattened(&middle));
+            // A line is as many px wide in each map: its share of the area, by the size of a pixel, is its length per area.
+            let share: f64 = map.iter().map(|p| f64::from((p - SURE).max(0.0))).sum::<f64>() / map.len() as f64;
+            let length = share / f64::from(1_u32 << octave) * FINER_FIRST.powi(octave as i32);
             if length > best.1 {
                 best = (octave, length);
             }
@@ -258,41 +257,71 @@ impl NetMatcher {
         }
     }
 
-    /// Costs of all disparities near the given left points, and nowhere else if the image is larger than a tile.
-    fn costs(&self, pair: &RectifiedPair, lines: &[LineMap; 2], needed: &Array2<bool>) -> Costs {
-        let mut costs = Costs::new(pair.left.dim(), &self.config);
-        let seen = [&pair.left, &pair.right].map(flattened);
-        let along = |count| tiles(count, TILE_PX, MATCHER_MARGIN_PX, self.config.multiple());
-        for rows in along(pair.left.nrows()) {
-            for columns in along(pair.left.ncols()) {
+    /// Furthest that a pixel can matter to another along columns and rows, px. Features: 3x3 convolutions at full, half and the volume's
+    /// resolution; then the volume's own network, in which an hourglass reaches 12 voxels; along the row the disparity too.
+    fn margins_px(&self) -> [usize; 2] {
+        let MatcherConfig { downscale, hourglasses, levels, .. } = self.config;
+        let features = 8 + 4 * downscale + self.detector.as_ref().map_or(0, NetDetector::margin_px);
+        let reach = features + downscale * (4 + 12 * hourglasses);
+        [reach, reach + downscale * levels / 2]
+    }
+
+    /// Costs of all disparities near the needed left pixels, and nowhere else if the image is larger than a tile.
+    fn costs(&self, images: &[Array2<f32>; 2], lines: &[Array2<f32>; 2], needed: &Array2<bool>) -> Costs {
+        let mut costs = Costs::new(needed.dim(), &self.config);
+        let seen = [&images[0], &images[1]].map(flattened);
+        let [height, width] = self.margins_px();
+        let multiple =
+            self.config.multiple().max(self.detector.as_ref().map_or(1, |detector| detector.config.multiple()));
+        let along = |count, margin| tiles(count, TILE_PX, margin, multiple);
+        for rows in along(needed.nrows(), height) {
+            for columns in along(needed.ncols(), width) {
                 if !needed.slice(s![rows.keep.clone(), columns.keep.clone()]).iter().any(|needed| *needed) {
                     continue;
                 }
-                let input = |image: &Array2<f32>, lines: &LineMap| {
-                    self.input(&cut(image, &rows, &columns), &cut(&lines.probability, &rows, &columns))
-                };
-                let (left, right) = (input(&seen[0], &lines[0]), input(&seen[1], &lines[1]));
-                let cost = self.network.forward(left, right).pop().expect("there is a hourglass at least");
+                let input =
+                    |view: usize| self.input(&cut(&seen[view], &rows, &columns), &cut(&lines[view], &rows, &columns));
+                let cost = self.network.forward(input(0), input(1)).pop().expect("there is a hourglass at least");
                 costs.put(cost, &rows, &columns);
             }
         }
         costs
     }
+
+    /// Pixels of a map of this shape whose costs are read for a point of a trace, in an image halved `octave` times.
+    fn needed(&self, traces: &TraceGraph, shape: (usize, usize), octave: u32) -> Array2<bool> {
+        let mut needed = Array2::from_elem(shape, false);
+        // Costs are interpolated between voxels: their neighbours count too.
+        let reach = self.config.downscale as isize;
+        for point in traces.traces.iter().flat_map(|trace| &trace.points) {
+            let [row, column] =
+                [point.position.y, point.position.x].map(|at| octaves::halved_at(at, octave).round() as isize);
+            for (down, right) in [(0, 0), (-reach, 0), (reach, 0), (0, -reach), (0, reach)] {
+                let place = [row + down, column + right].map(|at| at.max(0) as usize);
+                if let Some(pixel) = needed.get_mut(place) {
+                    *pixel = true;
+                }
+            }
+        }
+        needed
+    }
 }
 
 impl Match for NetMatcher {
+    /// Works at the magnification that the lines were found at.
     fn match_curves(&self, pair: &RectifiedPair, lines: &[LineMap; 2], traces: &[TraceGraph; 2]) -> Vec<MatchedCurve> {
-        let mut needed = Array2::from_elem(pair.left.dim(), false);
-        for point in traces[0].traces.iter().flat_map(|trace| &trace.points) {
-            let (row, column) =
-                (point.position.y.round().max(0.0) as usize, point.position.x.round().max(0.0) as usize);
-            if let Some(pixel) = needed.get_mut([row, column]) {
-                *pixel = true;
-            }
+        let wider = (lines[0].line_width_px / LINE_WIDTH_PX).max(1.0).log2().round();
+        let octave = (wider as u32).min(MOST_OCTAVES);
+        let mut images = [pair.left.clone(), pair.right.clone()];
+        let mut maps = [lines[0].probability.clone(), lines[1].probability.clone()];
+        for _ in 0..octave {
+            images = images.map(|image| halved(&image));
+            maps = maps.map(|map| halved(&map));
         }
-        let costs = self.costs(pair, lines, &needed);
+        let needed = self.needed(&traces[0], images[0].dim(), octave);
+        let costs = self.costs(&images, &maps, &needed);
         let range_px = self.settings.range_px(&pair.rectification);
-        curves::match_traces(&costs, &lines[1], &traces[0], &pair.rectification, range_px)
+        curves::match_traces(&costs, octave, &lines[1], &traces[0], &pair.rectification, range_px)
     }
 }
 

@@ -9,20 +9,27 @@ use crate::data::Batch;
 use crate::losses::Labelled;
 use crate::matcher::Matcher;
 use crate::networks::{Networks, matcher_input};
-use crate::train::TrainSettings;
+use crate::train::{Task, TrainSettings};
 use crate::volume::{at_levels, at_pixels, probabilities, soft_argmin};
 
-/// Scores by name; `error` is what the best weights are chosen by, lower is better.
+/// Scores by name; `error` is what the best weights are chosen by, lower is better. Empty where nothing is labelled.
 pub fn validate(
     networks: &Networks,
     batches: &[Batch],
     settings: &TrainSettings,
     device: &Device,
 ) -> BTreeMap<String, f64> {
-    match &networks.matcher {
-        None => detection(networks, batches, device),
+    let mut values = match &networks.matcher {
+        None => return detection(networks, batches, device),
         Some(_) => disparity(networks, batches, settings, device),
+    };
+    if settings.task == Task::Joint {
+        let detection = detection(networks, batches, device);
+        let error = values.get("error").copied().unwrap_or(0.0) + detection["error"];
+        values.extend(detection);
+        values.insert("error".into(), error);
     }
+    values
 }
 
 /// Precision, recall and F1 of pixels at probability 1/2; `error` is `1 - F1`.
@@ -46,18 +53,18 @@ fn detection(networks: &Networks, batches: &[Batch], device: &Device) -> BTreeMa
         .into()
 }
 
-/// EPE and bad-1, -3, -5 of the dense matcher; `error` is bad-1 as a share plus a tenth of the EPE.
+/// EPE and bad-1, -3, -5 of the dense matcher, disparities beyond its range included; `error` is bad-1 as a share plus a tenth of
+/// the EPE.
 fn disparity(
     networks: &Networks,
     batches: &[Batch],
     settings: &TrainSettings,
     device: &Device,
 ) -> BTreeMap<String, f64> {
-    let config = &settings.matcher;
     let matcher = networks.matcher.as_ref().expect("only called with a matcher");
     let mut errors = Vec::new();
     for batch in batches {
-        let labelled = Labelled::of(&batch.disparity, config.range_px());
+        let labelled = Labelled::of(&batch.disparity, [f64::NEG_INFINITY, f64::INFINITY]);
         if labelled.is_empty() {
             continue;
         }
@@ -65,7 +72,10 @@ fn disparity(
         let pairs = labelled.pixels.iter().zip(&labelled.values);
         errors.extend(pairs.map(|(pixel, truth)| f64::from((found[*pixel as usize] - truth).abs())));
     }
-    let count = errors.len().max(1) as f64;
+    if errors.is_empty() {
+        return BTreeMap::new();
+    }
+    let count = errors.len() as f64;
     let epe = errors.iter().sum::<f64>() / count;
     let bad = |above: f64| errors.iter().filter(|error| **error > above).count() as f64 / count;
     [("epe", epe), ("bad-1", bad(1.0)), ("bad-3", bad(3.0)), ("bad-5", bad(5.0)), ("error", bad(1.0) + 0.1 * epe)]

@@ -24,13 +24,16 @@ use burn::module::Module;
 use burn::optim::GradientsParams;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
+use tiltline::simulate::geometry::Split;
 
-use crate::config::{ConfigError, DetectorConfig, MatcherConfig};
-use crate::data::{Batch, DataError, DataSettings, Queue, Task as DataTask, validation};
+use crate::config::{ConfigError, DetectorConfig, MatcherConfig, MatcherInput};
+use crate::data::{Batch, DataError, DataSettings, Queue, Source, Task as DataTask, validation};
 use crate::losses::LossWeights;
 use crate::networks::Networks;
 use crate::score::validate;
-use crate::weights::{NetworkConfig, Precision, Record, Weights, WeightsError, initialise, replace, write_atomically};
+use crate::weights::{
+    NetworkConfig, Precision, Record, Values, Weights, WeightsError, initialise, replace, write_atomically,
+};
 use checkpoint::{Checkpoint, Progress};
 use metrics::{Line, Metrics};
 use step::{detector_loss, matcher_loss};
@@ -56,8 +59,10 @@ pub struct TrainSettings {
     pub task: Task,
     /// Steps in all.
     pub steps: u64,
-    /// Highest learning rate: reached after the first steps, falling to a hundredth as a cosine.
-    pub learning_rate: f64,
+    /// Highest learning rate: reached after the first steps, falling to a hundredth as a cosine. Absent: 1e-3 for the detector,
+    /// 1e-4 for the others, as in the paper.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learning_rate: Option<f64>,
     /// Steps over which the learning rate rises.
     pub warm_up: u64,
     /// Seed of weights and data.
@@ -85,7 +90,7 @@ impl Default for TrainSettings {
         Self {
             task: Task::Detector,
             steps: 2000,
-            learning_rate: 1e-3,
+            learning_rate: None,
             warm_up: 50,
             seed: 1,
             report_every: 20,
@@ -97,6 +102,15 @@ impl Default for TrainSettings {
             losses: LossWeights::default(),
             data: DataSettings::default(),
         }
+    }
+}
+
+impl TrainSettings {
+    /// Sides of crops must be multiples of this, px.
+    fn multiple(&self) -> usize {
+        let detector = self.detector.multiple();
+        // Powers of two, all of them.
+        if self.task == Task::Detector { detector } else { detector.max(self.matcher.multiple()) }
     }
 }
 
@@ -147,8 +161,8 @@ pub enum TrainError {
     NoDetector,
     /// The loss is no number.
     #[error(
-        "the loss is {loss} at step {step}; the last good weights are those of the last checkpoint in {folder}: go on from it with a \
-         lower learning-rate"
+        "loss or weights are no numbers any more at step {step} (loss {loss}); the last good weights are those of the last checkpoint in \
+         {folder}: write a lower learning_rate into its train.toml, and go on with --resume"
     )]
     NotFinite {
         /// The loss.
@@ -170,6 +184,8 @@ pub enum Event<'a> {
         /// Steps in all.
         steps: u64,
     },
+    /// A step was done.
+    Step,
     /// A checkpoint was written.
     Saved(&'a Path),
 }
@@ -201,6 +217,9 @@ impl Run {
         device: Device,
     ) -> Result<Self, TrainError> {
         let io = |source| TrainError::Io { path: folder.into(), source };
+        let data_task = if settings.task == Task::Detector { DataTask::Detector } else { DataTask::Matcher };
+        settings.data.fits(settings.multiple())?;
+        Source::new(&settings.data, data_task, settings.seed, Split::Train)?;
         if folder.join("train.toml").exists() {
             return Err(TrainError::Occupied(folder.into()));
         }
@@ -232,19 +251,20 @@ impl Run {
         }
         fs::create_dir_all(folder).map_err(io)?;
         let text = toml::to_string_pretty(&settings).expect("plain data has a TOML form");
-        write_atomically(&folder.join("train.toml"), text.as_bytes()).map_err(io)?;
         let run = Self {
             settings,
             folder: folder.into(),
             networks,
             adam: Adam::default(),
-            progress: Progress::default(),
+            progress: Progress { record: record.clone(), ..Progress::default() },
             metrics: Metrics::default(),
             record,
             device,
         };
         // So that a run can be resumed from its first step, and a lost first checkpoint never means other weights.
         run.checkpoint()?;
+        // Last: a folder holds a run once it can be resumed.
+        write_atomically(&folder.join("train.toml"), text.as_bytes()).map_err(io)?;
         Ok(run)
     }
 
@@ -260,19 +280,30 @@ impl Run {
         settings.steps = steps.unwrap_or(settings.steps);
         let checkpoint = Checkpoint::newest(folder)?;
         let networks = Self::networks(&settings, &device)?;
-        let networks = replace(networks, |name, shape| {
-            let found = checkpoint.weights.get(name)?;
-            (found.shape == shape).then(|| found.values.clone())
-        });
+        let wanted = crate::weights::collect(&networks);
+        let fits = |(name, values): (&String, &Values)| {
+            checkpoint.weights.get(name).is_some_and(|found| found.shape == values.shape)
+        };
+        if wanted.len() != checkpoint.weights.len() || !wanted.iter().all(fits) {
+            let why = "its checkpoint holds other networks than its train.toml".to_owned();
+            return Err(TrainError::Damaged { path: folder.into(), why });
+        }
+        let networks = replace(networks, |name, _| checkpoint.weights.get(name).map(|found| found.values.clone()));
         let adam = Adam::from_named(&checkpoint.moments, checkpoint.progress.time, &device);
         let metrics = Metrics::read(folder, checkpoint.progress.step);
         let progress = checkpoint.progress;
-        Ok(Self { settings, folder: folder.into(), networks, adam, progress, metrics, record: Record::new(), device })
+        let record = progress.record.clone();
+        Ok(Self { settings, folder: folder.into(), networks, adam, progress, metrics, record, device })
     }
 
     fn networks(settings: &TrainSettings, device: &Device) -> Result<Networks, TrainError> {
         settings.detector.validate()?;
         settings.matcher.validate()?;
+        let (matcher, channels) = (&settings.matcher, settings.detector.channels);
+        if matcher.input == MatcherInput::Features && matcher.input_channels != channels {
+            let wanted = "detector.channels, because matcher.input is features";
+            return Err(ConfigError { name: "matcher.input_channels", value: matcher.input_channels, wanted }.into());
+        }
         let matcher = (settings.task != Task::Detector).then_some(&settings.matcher);
         Ok(Networks::new(&settings.detector, matcher, &device.clone().autodiff()))
     }
@@ -314,21 +345,23 @@ impl Run {
             self.progress.step += 1;
             self.progress.seconds = before + start.elapsed().as_secs_f64();
             let (step, last) = (self.progress.step, self.progress.step == self.settings.steps);
-            let mut go_on = true;
+            let mut go_on = report(&Event::Step);
             if last || step.is_multiple_of(self.settings.report_every.max(1)) {
                 let means = std::mem::take(&mut sums);
                 let means = means.into_iter().map(|(name, (sum, count))| (name, sum / count as f64)).collect();
-                go_on = self.report("train", rate, means, report)?;
+                go_on &= self.report("train", rate, means, report)?;
             }
             if last || step.is_multiple_of(self.settings.validate_every.max(1)) {
                 let networks = self.networks.valid();
                 let values = validate(&networks, &validation, &self.settings, &self.device);
                 let path = self.folder.join("validation.png");
                 picture::write(&path, &networks, &validation, &self.settings, &self.device)?;
-                let score = values.get("error").copied().unwrap_or(f64::INFINITY);
+                // Where nothing is labelled the last are the best.
+                let score = values.get("error").copied();
                 go_on &= self.report("validation", rate, values, report)?;
-                if self.progress.best.is_none_or(|(best, _)| score < best) {
-                    self.progress.best = Some((score, step));
+                let better = |score: f64| self.progress.best.is_none_or(|(best, _)| score < best);
+                if score.is_none_or(|score| score.is_finite() && better(score)) {
+                    self.progress.best = score.map(|score| (score, step)).or(self.progress.best);
                     self.write_weights("best")?;
                 }
             }
@@ -375,11 +408,12 @@ impl Run {
     fn rate(&self) -> f64 {
         let Self { settings, progress, .. } = self;
         let (step, warm_up) = (progress.step as f64 + 1.0, settings.warm_up as f64);
+        let highest = settings.learning_rate.unwrap_or(if settings.task == Task::Detector { 1e-3 } else { 1e-4 });
         if step < warm_up {
-            return settings.learning_rate * step / warm_up;
+            return highest * step / warm_up;
         }
         let done = ((step - warm_up) / (settings.steps as f64 - warm_up).max(1.0)).clamp(0.0, 1.0);
-        settings.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()))
+        highest * (0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()))
     }
 
     fn report(
@@ -400,6 +434,11 @@ impl Run {
     fn checkpoint(&self) -> Result<PathBuf, TrainError> {
         let progress = Progress { time: self.adam.time, ..self.progress.clone() };
         let weights = crate::weights::collect(&self.networks);
+        // A finite loss can have gradients that are not: the checkpoint before stays the newest.
+        if weights.values().any(|values| values.values.iter().any(|value| !value.is_finite())) {
+            let (step, folder) = (self.progress.step, self.folder.clone());
+            return Err(TrainError::NotFinite { loss: f64::NAN, step, folder });
+        }
         Checkpoint { progress, weights, moments: self.adam.to_named() }.write(&self.folder)
     }
 

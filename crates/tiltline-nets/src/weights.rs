@@ -49,6 +49,17 @@ impl NetworkConfig {
         }
     }
 
+    /// The weights of the largest layers: the network has more.
+    fn least_weights(&self) -> usize {
+        match self {
+            Self::Detector(config) => 9 * (config.channels << config.depth).pow(2),
+            Self::Matcher(config) => {
+                let MatcherConfig { features, channels, hourglasses, .. } = *config;
+                9 * features.pow(2) + 27 * hourglasses * (2 * channels).pow(2)
+            }
+        }
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
         match self {
             Self::Detector(config) => config.validate(),
@@ -328,6 +339,14 @@ impl Weights {
         }
         let config = |source| WeightsError::Config { path: path.into(), source };
         metadata.network.validate().map_err(config)?;
+        // Networks are made before their weights are compared with the file's: none that cannot be in it.
+        let least = 2 * metadata.network.least_weights();
+        if least > bytes.len() {
+            return Err(foreign(format!(
+                "its network has weights of {least} bytes or more, and the file has {}",
+                bytes.len()
+            )));
+        }
         let mut tensors = Named::new();
         for (name, view) in file.iter() {
             let values = match view.dtype() {

@@ -286,7 +286,10 @@ impl Crop {
         let disparity = Array2::from_shape_fn(shape, |(row, column)| {
             let q = [column as f64, row as f64];
             let source = example.disparity.as_ref().map_or(f32::NAN, |map| nearest(map, window.left(q)));
-            if source.is_nan() { source } else { window.disparity(q, f64::from(source)) as f32 }
+            let found = if source.is_nan() { source } else { window.disparity(q, f64::from(source)) as f32 };
+            // A match outside the crop cannot be found.
+            let right = column as f32 + found;
+            if (0.0..=(side - 1) as f32).contains(&right) { found } else { f32::NAN }
         });
         Self { images: [image(0, &left), image(1, &right)], lines: [lines(0, &left), lines(1, &right)], disparity }
     }
@@ -322,17 +325,22 @@ impl Crop {
             });
             if border {
                 let lines = &mut self.lines[view];
+                // An image of which nothing is known stays one.
+                let known = lines.iter().any(|line| !line.is_nan());
                 for ((row, column), value) in image.indexed_iter_mut() {
                     if half_plane.contains(row, column) {
                         *value = 0.0;
-                        lines[[row, column]] = 0.0;
+                        if known {
+                            lines[[row, column]] = 0.0;
+                        }
                     }
                 }
             }
         }
         if border && !self.disparity.is_empty() {
             for ((row, column), value) in self.disparity.indexed_iter_mut() {
-                if half_plane.contains(row, column) {
+                let right = (column as f32 + *value).max(0.0) as usize;
+                if half_plane.contains(row, column) || half_plane.contains(row, right) {
                     *value = f32::NAN;
                 }
             }

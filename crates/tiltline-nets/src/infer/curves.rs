@@ -3,10 +3,12 @@
 
 use tiltline::curve::{LineMap, MatchedCurve, Trace, TraceGraph};
 use tiltline::filter::sample_linear;
+use tiltline::geometry::angle_to_row;
 use tiltline::matching::{Measured, assemble};
 use tiltline::rectify::Rectification;
 
 use super::costs::Costs;
+use super::octaves::halved_at;
 
 /// Disparity changes by at most this much per px along a line, px.
 const MAX_SLOPE: f64 = 1.0;
@@ -19,12 +21,17 @@ const LEAST_SHARE: f64 = 0.25;
 /// Least probability of a line in the right image within [`NEAR_PX`] of the match.
 const LEAST_LINE: f32 = 0.25;
 const NEAR_PX: i32 = 3;
+/// Error where the truth is outside the window, px.
+const OUTSIDE_PX: f64 = 6.0;
+/// Lines closer to the row than half a degree are no better known than at half a degree.
+const LEAST_SINE: f64 = 0.0087;
 /// Smallest sigma, px: the network's levels are 1 px apart.
 const LEAST_SIGMA_PX: f64 = 0.3;
 
-/// Matched curves along the left traces, with disparities in `range_px`.
+/// Matched curves along the left traces, with disparities in `range_px`; the costs are of images halved `octave` times.
 pub fn match_traces(
     costs: &Costs,
+    octave: u32,
     right: &LineMap,
     left: &TraceGraph,
     rectification: &Rectification,
@@ -32,20 +39,25 @@ pub fn match_traces(
 ) -> Vec<MatchedCurve> {
     let spread_px = (range_px[1] - range_px[0]) / 12.0_f64.sqrt();
     let curves = left.traces.iter().enumerate().flat_map(|(index, trace)| {
-        let measured = measure(costs, right, trace, range_px);
+        let measured = measure(costs, octave, right, trace, range_px);
         assemble(index, trace, &measured, rectification.sigma_row_px, spread_px)
     });
     curves.collect()
 }
 
-fn measure(costs: &Costs, right: &LineMap, trace: &Trace, [low, high]: [f64; 2]) -> Vec<Option<Measured>> {
+fn measure(costs: &Costs, octave: u32, right: &LineMap, trace: &Trace, [low, high]: [f64; 2]) -> Vec<Option<Measured>> {
+    // Levels are px of the halved images; all else is px of the images.
+    let scale = f64::from(1_u32 << octave);
     let levels = &costs.levels_px;
     let logs: Vec<Option<Vec<f32>>> = trace
         .points
         .iter()
-        .map(|point| costs.at(point.position.x, point.position.y).map(|costs| log_probabilities(&costs)))
+        .map(|point| {
+            let [x, y] = [point.position.x, point.position.y].map(|at| halved_at(at, octave));
+            costs.at(x, y).map(|costs| log_probabilities(&costs))
+        })
         .collect();
-    let allowed: Vec<bool> = levels.iter().map(|level| f64::from(*level) >= low && f64::from(*level) <= high).collect();
+    let allowed: Vec<bool> = levels.iter().map(|level| (low..=high).contains(&(scale * f64::from(*level)))).collect();
     if !allowed.iter().any(|allowed| *allowed) {
         return vec![None; trace.points.len()];
     }
@@ -69,14 +81,17 @@ fn measure(costs: &Costs, right: &LineMap, trace: &Trace, [low, high]: [f64; 2])
                 near.map(|index| f64::from(logs[index].exp()) * (f64::from(levels[index]) - mean).powi(2)).sum::<f64>()
                     / sum;
             let line = (-NEAR_PX..=NEAR_PX).filter_map(|offset| {
-                let x = point.position.x + mean + f64::from(offset);
+                let x = point.position.x + scale * (mean + f64::from(offset));
                 sample_linear(&right.probability.view(), x, point.position.y)
             });
             if line.fold(0.0, f32::max) < LEAST_LINE {
                 return None;
             }
-            let sigma_px = variance.sqrt().max(LEAST_SIGMA_PX);
-            Some(Measured { disparity_px: mean, sigma_px, tangent_right: None })
+            // What lies outside the window may be the truth.
+            let doubt = (variance + (1.0 - sum) * OUTSIDE_PX * OUTSIDE_PX).sqrt().max(LEAST_SIGMA_PX);
+            let along = point.sigma_perp_px / angle_to_row(&point.tangent).sin().max(LEAST_SINE);
+            let sigma_px = (scale * doubt).hypot(along);
+            Some(Measured { disparity_px: scale * mean, sigma_px, tangent_right: None })
         })
         .collect()
 }

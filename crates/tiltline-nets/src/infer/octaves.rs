@@ -11,7 +11,12 @@ const BLUR_PX: f64 = 0.6;
 /// Half the sides (an odd last row or column is left out); NaN where any of the four pixels is.
 pub fn halved(image: &Array2<f32>) -> Array2<f32> {
     let filled = image.mapv(|value| if value.is_finite() { value } else { 0.0 });
-    let smooth = gaussian_blur(&filled, BLUR_PX);
+    let mut smooth = gaussian_blur(&filled, BLUR_PX);
+    if image.iter().any(|value| !value.is_finite()) {
+        // What has no data counts for nothing.
+        let known = gaussian_blur(&image.mapv(|value| f32::from(u8::from(value.is_finite()))), BLUR_PX);
+        smooth.zip_mut_with(&known, |value, share| *value /= share.max(1e-6));
+    }
     Array2::from_shape_fn((image.nrows() / 2, image.ncols() / 2), |(row, column)| {
         let four = [[0, 0], [0, 1], [1, 0], [1, 1]].map(|[down, right]| [2 * row + down, 2 * column + right]);
         if four.iter().any(|at| !image[*at].is_finite()) {
@@ -21,15 +26,19 @@ pub fn halved(image: &Array2<f32>) -> Array2<f32> {
     })
 }
 
+/// Where a place of an image lies in the image halved `octave` times, px.
+pub fn halved_at(at: f64, octave: u32) -> f64 {
+    (at + 0.5) / f64::from(1_u32 << octave) - 0.5
+}
+
 /// A map of an image that was halved `octave` times, on the grid of the image.
 pub fn enlarged(map: &Array2<f32>, octave: u32, shape: (usize, usize)) -> Array2<f32> {
     if octave == 0 {
         return map.clone();
     }
-    let factor = f64::from(1_u32 << octave);
     let (last_row, last_column) = (map.nrows().saturating_sub(1) as f64, map.ncols().saturating_sub(1) as f64);
     Array2::from_shape_fn(shape, |(row, column)| {
-        let at = |index: usize, last: f64| ((index as f64 + 0.5) / factor - 0.5).clamp(0.0, last);
+        let at = |index: usize, last: f64| halved_at(index as f64, octave).clamp(0.0, last);
         sample_linear(&map.view(), at(column, last_column), at(row, last_row)).unwrap_or(0.0)
     })
 }

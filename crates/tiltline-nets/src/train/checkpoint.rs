@@ -9,7 +9,7 @@ use safetensors::{SafeTensors, serialize};
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use crate::weights::{Named, Values, write_atomically};
+use crate::weights::{Named, Record, Values, write_atomically};
 
 /// Checkpoints that are kept; the best weights are kept apart.
 const KEPT: usize = 3;
@@ -26,6 +26,9 @@ pub struct Progress {
     pub best: Option<(f64, u64)>,
     /// Time spent so far, s.
     pub seconds: f64,
+    /// What the weights started from.
+    #[serde(default)]
+    pub record: Record,
 }
 
 /// A checkpoint in memory.

@@ -26,7 +26,9 @@ fn matcher_floats(settings: &TrainSettings) -> f64 {
     let volumes = voxels * (6.0 * config.channels as f64 + config.hourglasses as f64 * hourglass);
     // Costs brought to full resolution, for each hourglass.
     let full = config.hourglasses as f64 * config.levels as f64 * 3.0;
-    encoder + volume + volumes + full
+    // The warp loss wants the disparity of every pixel, at all fine levels.
+    let warped = if settings.losses.warp > 0.0 { 4.0 * (config.downscale * config.levels) as f64 } else { 0.0 };
+    encoder + volume + volumes + full + warped
 }
 
 /// Bytes that a step takes at most, about.

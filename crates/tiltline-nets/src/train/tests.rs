@@ -7,7 +7,7 @@ fn small(task: Task, steps: u64) -> TrainSettings {
         task,
         steps,
         warm_up: 2,
-        learning_rate: 2e-3,
+        learning_rate: Some(2e-3),
         report_every: 1,
         checkpoint_every: 3,
         validate_every: 1000,
@@ -80,7 +80,7 @@ fn by_heart(task: Task, steps: u64) -> TrainSettings {
     settings.data.augment = AugmentSettings::none();
     settings.data.crop_px = 96;
     settings.data.examples = 2;
-    settings.learning_rate = 5e-3;
+    settings.learning_rate = Some(5e-3);
     (settings.report_every, settings.validate_every, settings.checkpoint_every) = (steps, 1_000_000, 1_000_000);
     settings
 }
