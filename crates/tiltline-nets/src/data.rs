@@ -113,7 +113,7 @@ pub enum DataError {
         why: String,
     },
     /// A setting that is not possible.
-    #[error("data.{name} is {value}; it must be {wanted}")]
+    #[error("{name} is {value}; it must be {wanted}")]
     Setting {
         /// The key.
         name: &'static str,

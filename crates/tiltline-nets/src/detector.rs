@@ -65,7 +65,14 @@ impl Detector {
         Self { down, up, joined, head: Conv::new(Kernel::Pointwise, [config.channels, 1], true, device) }
     }
 
-    /// Images `[N, 1, H, W]`, normalised, with sides that are multiples of `DetectorConfig::multiple`.
+    /// The network whose log-odds are higher by a number everywhere.
+    #[must_use]
+    pub fn shifted(mut self, by: f64) -> Self {
+        self.head.bias = self.head.bias.map(|bias| bias.map(|bias| bias.add_scalar(by)));
+        self
+    }
+
+    /// Images `[N, 1, H, W]`, flattened, with sides that are multiples of `DetectorConfig::multiple`.
     pub fn forward(&self, images: Tensor<4>) -> Detected {
         let [_, channels, height, width] = images.dims();
         let multiple = 1 << self.up.len();

@@ -219,6 +219,11 @@ impl Run {
         let io = |source| TrainError::Io { path: folder.into(), source };
         let data_task = if settings.task == Task::Detector { DataTask::Detector } else { DataTask::Matcher };
         settings.data.fits(settings.multiple())?;
+        let line = settings.losses.line;
+        if !(line > 0.0 && line.is_finite()) {
+            let wanted = "above 0";
+            return Err(DataError::Setting { name: "losses.line", value: line.to_string(), wanted }.into());
+        }
         Source::new(&settings.data, data_task, settings.seed, Split::Train)?;
         if folder.join("train.toml").exists() {
             return Err(TrainError::Occupied(folder.into()));
@@ -238,6 +243,9 @@ impl Run {
             match &weights.network {
                 NetworkConfig::Detector(_) => {
                     networks.detector = weights.load_into(networks.detector, path)?;
+                    if settings.task == Task::Detector {
+                        networks.detector = networks.detector.shifted(settings.losses.line.ln());
+                    }
                     detector = true;
                 }
                 NetworkConfig::Matcher(_) => {
@@ -458,7 +466,11 @@ impl Run {
         let path = |suffix: &str| self.folder.join(format!("{name}{suffix}.safetensors"));
         let both = self.settings.task == Task::Joint;
         if self.settings.task != Task::Matcher {
-            let weights = Weights::of(&networks.detector, detector(), record.clone());
+            // A line pixel that counts for several in the loss has its odds raised as much: taken back, so that the files of a detector
+            // speak of probabilities as they are. A joint matcher knows its detector as it is.
+            let calibrated =
+                networks.detector.clone().shifted(if both { 0.0 } else { -self.settings.losses.line.ln() });
+            let weights = Weights::of(&calibrated, detector(), record.clone());
             weights.write(&path(if both { "-detector" } else { "" }), Precision::Single)?;
         }
         if let Some(network) = &networks.matcher {

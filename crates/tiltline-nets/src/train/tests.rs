@@ -110,8 +110,7 @@ fn the_detector_learns_a_few_images_by_heart() {
     last(&mut run);
     let named = crate::infer::Named::read(&folder.path().join("run/last.safetensors")).unwrap();
     let detector = crate::infer::NetDetector::new(&named, &Device::flex()).unwrap();
-    let source =
-        crate::data::Source::new(&data, DataTask::Detector, 1, tiltline::simulate::geometry::Split::Train).unwrap();
+    let source = Source::new(&data, DataTask::Detector, 1, Split::Train).unwrap();
     let batch = source.batch(0).unwrap();
     let shape = (batch.side, batch.side);
     for (image, lines) in
