@@ -15,13 +15,14 @@ import torch
 import torch.nn.functional as F
 
 EPS = 1e-5
+MOMENTUM = 0.02
 
 
 def conv_norm(p, name, x, conv, relu=True, train=True):
     y = conv(x, p[name + ".conv.weight"], None)
     gamma, beta = p[name + ".norm.gamma"], p[name + ".norm.beta"]
     mean, var = p.get(name + ".norm.running_mean"), p.get(name + ".norm.running_var")
-    y = F.batch_norm(y, mean, var, gamma, beta, training=train, eps=EPS)
+    y = F.batch_norm(y, mean, var, gamma, beta, training=train, momentum=MOMENTUM, eps=EPS)
     return F.relu(y) if relu else y
 
 

@@ -1,4 +1,4 @@
-//! `cargo xtask real [IMAGES [WEIGHTS]]`: the detector on real images that were labelled by hand (`xtask/labels`). The images
+//! `cargo xtask real [IMAGES [WEIGHTS|ridge]]`: a detector on real images that were labelled by hand (`xtask/labels`). The images
 //! are not part of the project; without their folder there is nothing to measure, and that is said.
 
 use std::path::Path;

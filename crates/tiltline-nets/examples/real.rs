@@ -1,4 +1,4 @@
-//! The detector on real images that were labelled by hand: `real IMAGES LABELS OUT [WEIGHTS]`.
+//! Detectors on real images that were labelled by hand: `real IMAGES LABELS OUT [WEIGHTS|ridge]`; without, the built-in network.
 //!
 //! IMAGES is a folder of images, LABELS one of LabelMe files with "line" strips and "unknown" polygons, drawn by eye to some
 //! 2 px. For each image: found, the share of labelled length with a traced line within 4 px; invented, the share of traced length
@@ -15,6 +15,11 @@ use serde::Deserialize;
 use tiltline::export::png::write_grey;
 use tiltline::geometry::Point2;
 use tiltline::io::read_micrograph;
+use tiltline::micrograph::View;
+use tiltline::pipeline::Detect;
+use tiltline::rectify::{Rectification, RectifiedPair};
+use tiltline::ridge::RidgeDetector;
+use tiltline::simulate::view::ViewSettings;
 use tiltline::trace::{TraceSettings, trace};
 use tiltline_nets::infer::{Named, NetDetector};
 
@@ -70,20 +75,15 @@ fn near(points: &[Point2], others: &[Point2], unknown: &[Vec<Point2>]) -> [usize
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [images, labels, out, rest @ ..] = &arguments[..] else {
-        return Err("real IMAGES LABELS OUT [WEIGHTS]".into());
+        return Err("real IMAGES LABELS OUT [WEIGHTS|ridge]".into());
     };
-    let named = match rest.first() {
-        Some(path) => Named::read(Path::new(path))?,
-        None => Named::built_in_detector()?,
+    let device = Device::flex();
+    let detector: Box<dyn Detect> = match rest.first().map(String::as_str) {
+        Some("ridge") => Box::new(RidgeDetector::default()),
+        Some(path) => Box::new(NetDetector::new(&Named::read(Path::new(path))?, &device)?),
+        None => Box::new(NetDetector::new(&Named::built_in_detector()?, &device)?),
     };
-    let detector = NetDetector::new(&named, &Device::flex())?;
     std::fs::create_dir_all(out)?;
-    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse::<f32>().ok());
-    let settings = TraceSettings {
-        high: number("HIGH").unwrap_or(0.5),
-        low: number("LOW").unwrap_or(0.25),
-        ..TraceSettings::default()
-    };
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(labels)?.map(|entry| Ok(entry?.path())).collect::<Result<_, std::io::Error>>()?;
     files.retain(|path| path.extension().is_some_and(|ending| ending == "json"));
@@ -98,10 +98,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         let unknown = shapes("unknown");
         let lines: Vec<Point2> = shapes("line").iter().flat_map(|points| along(points)).collect();
         let image = read_micrograph(&Path::new(images).join(&labels.image_path).to_string_lossy())?.normalised();
-        let octave =
-            std::env::var("OCTAVE").ok().and_then(|o| o.parse().ok()).unwrap_or_else(|| detector.octave(&image));
-        let map = detector.lines(&image, octave);
-        let graph = trace(&map, &settings);
+        let view = ViewSettings { shape: [image.nrows(), image.ncols()], ..ViewSettings::default() };
+        let rectification = Rectification::from_known_views(&view, &view);
+        let pair = RectifiedPair { left: image.clone(), right: image.clone(), rectification };
+        let map = detector.detect(&pair, View::Left);
+        let graph = trace(&map, &TraceSettings::default());
         let traced: Vec<Point2> = graph
             .traces
             .iter()

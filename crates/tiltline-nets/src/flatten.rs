@@ -42,7 +42,8 @@ pub fn flattened(image: &Array2<f32>) -> Array2<f32> {
 mod tests {
     use super::*;
 
-    /// A line of a tenth of the contrast, on a background of a tenth of the brightness, looks the same.
+    /// A line of half the contrast on a background of half the brightness looks nearly the same: only what is added to deviations
+    /// tells them apart (2.6 and 2.4 deviations).
     #[test]
     fn faint_and_strong_lines_look_alike() {
         let line = |background: f32, depth: f32| {
@@ -50,8 +51,8 @@ mod tests {
                 background - depth * (-0.5 * (column as f32 - 40.0).powi(2) / 4.0).exp()
             })
         };
-        let [strong, faint] = [line(0.9, 0.8), line(0.4, 0.2)].map(|image| flattened(&image)[[40, 40]]);
-        assert!(strong < -2.0 && (strong - faint).abs() < 0.4, "{strong} {faint}");
+        let [strong, faint] = [line(0.9, 0.8), line(0.45, 0.4)].map(|image| flattened(&image)[[40, 40]]);
+        assert!(strong < -2.0 && (strong - faint).abs() < 0.3, "{strong} {faint}");
     }
 
     #[test]
