@@ -39,7 +39,7 @@ const MOST_OCTAVES: u32 = 3;
 const LEAST_SIDE_PX: usize = 160;
 /// Probability above which a pixel speaks for a magnification.
 const SURE: f32 = 0.35;
-/// How much more must be found in an image of half the size before it is preferred: less detail is a loss of its own.
+/// What is found in an image of half the size counts this much less: less detail is a loss of its own.
 const FINER_FIRST: f64 = 0.7;
 
 /// Weights as a file or as part of the program, with a name for messages.
