@@ -20,7 +20,7 @@ use super::{DataError, DataSettings};
 /// Rows of both sides of a labelled match may differ by this much, px.
 const SAME_ROW_PX: f64 = 2.0;
 /// Lines are asked for where their contrast is this many times what counts as visible in scores.
-const SURELY_VISIBLE: f64 = 2.0;
+const SURELY_VISIBLE: f64 = 1.4;
 
 /// A stereo pair on a rectified grid.
 #[derive(Clone, Debug, PartialEq)]

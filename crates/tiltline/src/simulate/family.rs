@@ -65,7 +65,7 @@ fn tial_look() -> LookSettings {
         line_width_px: [1.7, 8.0],
         line_contrast: [0.1, 0.7],
         background: 0.8,
-        boundary_families: 0.8,
+        boundary_families: 0.6,
         lamellae: 0.7,
         hair: 0.4,
         bright: 0.08,

@@ -22,6 +22,7 @@ pub mod scene;
 pub mod settings;
 pub mod slab;
 pub mod view;
+mod visibility;
 
 pub use camera::Camera;
 pub use foil::{Dislocation, Foil};

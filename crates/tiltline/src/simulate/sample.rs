@@ -17,6 +17,7 @@ use super::parametric::{LookSettings, Specimen};
 use super::physics;
 use super::settings::{Mode, SimulateError, SimulateSettings};
 use super::slab::{Cut, foil_from_network};
+use super::visibility::{followed, texture};
 use super::{Camera, Dislocation, Foil};
 use crate::geometry::{Point2, Point3, Vector3};
 use crate::truth::{ProjectedCurve, TrueView, Truth, ViewGeometry, ViewMap};
@@ -322,22 +323,32 @@ fn truth(
     truth.source = Some(format!("tiltline simulate, {} mode, geometry seed {seed}", settings.mode.word()));
     for ((truth, seen), view) in truth.views.iter_mut().zip(seen).zip(views) {
         truth.visible_above_noise = Some(settings.visible_above_noise);
-        let least = (settings.visible_above_noise * view.recording.noise).max(settings.least_contrast) as f32;
+        let lines: Vec<&[Point2]> = seen.curves.iter().map(|curve| &curve.centre[..]).collect();
+        let noise = (view.recording.noise * view.recording.noise) as f32;
+        let least = texture(&seen.image, &lines).mapv(|texture| {
+            let noise = (texture * texture + noise).sqrt();
+            (settings.visible_above_noise as f32 * noise).max(settings.least_contrast as f32)
+        });
         for (curve, seen) in truth.curves.iter_mut().zip(&seen.curves) {
-            see(curve, seen, least, &view.recording.valid);
+            see(curve, seen, &least, &view.recording.valid);
         }
     }
     leave_out_of_frame(&mut truth);
     truth
 }
 
-fn see(curve: &mut ProjectedCurve, seen: &SeenCurve, least: f32, valid: &Array2<bool>) {
-    let on_foil = |point: &Point2| {
+/// `least`: the contrast that can be seen at each pixel.
+fn see(curve: &mut ProjectedCurve, seen: &SeenCurve, least: &Array2<f32>, valid: &Array2<bool>) {
+    let pixel = |point: &Point2| {
         let (column, row) = (point.x.round(), point.y.round());
-        column >= 0.0 && row >= 0.0 && valid.get([row as usize, column as usize]).is_some_and(|valid| *valid)
+        (column >= 0.0 && row >= 0.0).then_some([row as usize, column as usize])
     };
-    let visible =
-        seen.centre.iter().zip(&seen.contrast).map(|(centre, contrast)| *contrast >= least && on_foil(centre));
+    let stands_out = |point: &Point2, contrast: f32| {
+        let Some(pixel) = pixel(point) else { return false };
+        valid.get(pixel).is_some_and(|valid| *valid) && least.get(pixel).is_some_and(|least| contrast >= *least)
+    };
+    let contrast = followed(&seen.centre, &seen.contrast);
+    let visible = seen.centre.iter().zip(contrast).map(|(centre, contrast)| stands_out(centre, contrast));
     curve.visible = Some(visible.collect());
     curve.contrast.clone_from(&seen.centre);
     curve.core = Some(seen.core.clone());

@@ -24,7 +24,7 @@ pub fn threading(settings: &ThreadingSettings, site: &Site, rng: &mut Pcg64) -> 
     let half_length = (0.52 * site.thickness_nm / along.z.abs().max(1e-3)).min(0.5 * site.reach_nm());
     let across = along.cross(&direction(rng)).normalize();
     let sag = settings.sag.sample(rng) * 2.0 * half_length;
-    let wave = Wave::new(0.004 * half_length, half_length, rng);
+    let wave = Wave::new(0.01 * half_length, 0.5 * half_length, rng);
     let middle = site.centre - along * (site.centre.z / if along.z.abs() < 1e-3 { f64::INFINITY } else { along.z });
     let steps = ((2.5 * half_length / site.spacing_nm).ceil() as usize).clamp(8, 20_000);
     let points = (0..=steps).map(|step| {

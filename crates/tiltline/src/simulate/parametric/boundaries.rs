@@ -194,7 +194,7 @@ impl SlipTrace {
         Self {
             ends: [middle - along * back, middle + along * forth],
             sigma_px: log_uniform(rng, [0.6, 3.0]),
-            contrast: sign * log_uniform(rng, [0.02, 0.35]),
+            contrast: sign * log_uniform(rng, [0.02, 0.25]),
             partner: chance(rng, 0.5).then(|| (rng.random_range(0.3..1.0), rng.random_range(2.0..3.5))),
             beads: chance(rng, 0.15).then(|| (rng.random_range(5.0..25.0), rng.random_range(0.3..0.9))),
         }

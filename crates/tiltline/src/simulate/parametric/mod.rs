@@ -60,10 +60,10 @@ impl Default for LookSettings {
             line_contrast: [0.06, 0.6],
             one_sided: 0.12,
             bright: 0.15,
-            boundary_families: 0.9,
+            boundary_families: 0.6,
             lamellae: 0.25,
             hair: 0.2,
-            slip_traces: 0.8,
+            slip_traces: 0.5,
             debris: 12.0,
             background: 1.0,
         }
