@@ -9,6 +9,7 @@ use burn::tensor::{Device, Tensor};
 use crate::config::DetectorConfig;
 use crate::layers::{Conv, ConvNorm};
 use crate::ops::{Kernel, max_pool};
+use crate::weights::replace;
 
 const SAME: Kernel = Kernel::Same { stride: 1 };
 
@@ -67,9 +68,11 @@ impl Detector {
 
     /// The network whose log-odds are higher by a number everywhere.
     #[must_use]
-    pub fn shifted(mut self, by: f64) -> Self {
-        self.head.bias = self.head.bias.map(|bias| bias.map(|bias| bias.add_scalar(by)));
-        self
+    pub fn shifted(self, by: f32) -> Self {
+        // Through plain numbers: a weight must be a leaf of the graph, and the result of an addition is none.
+        let bias = self.head.bias.as_ref().expect("the head has a bias").val().into_data();
+        let bias: Vec<f32> = bias.try_to_vec().expect("weights are f32");
+        replace(self, |name, _| (name == "head.bias").then(|| bias.iter().map(|bias| bias + by).collect()))
     }
 
     /// Images `[N, 1, H, W]`, flattened, with sides that are multiples of `DetectorConfig::multiple`.

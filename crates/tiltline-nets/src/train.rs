@@ -244,7 +244,7 @@ impl Run {
                 NetworkConfig::Detector(_) => {
                     networks.detector = weights.load_into(networks.detector, path)?;
                     if settings.task == Task::Detector {
-                        networks.detector = networks.detector.shifted(settings.losses.line.ln());
+                        networks.detector = networks.detector.shifted(settings.losses.line.ln() as f32);
                     }
                     detector = true;
                 }
@@ -469,7 +469,7 @@ impl Run {
             // A line pixel that counts for several in the loss has its odds raised as much: taken back, so that the files of a detector
             // speak of probabilities as they are. A joint matcher knows its detector as it is.
             let calibrated =
-                networks.detector.clone().shifted(if both { 0.0 } else { -self.settings.losses.line.ln() });
+                networks.detector.clone().shifted(if both { 0.0 } else { -self.settings.losses.line.ln() as f32 });
             let weights = Weights::of(&calibrated, detector(), record.clone());
             weights.write(&path(if both { "-detector" } else { "" }), Precision::Single)?;
         }

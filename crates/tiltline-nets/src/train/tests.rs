@@ -74,6 +74,23 @@ fn a_resumed_run_goes_on_as_if_it_had_not_stopped() {
     }
 }
 
+/// What a run gives can be trained on: probabilities of the file are those the next run starts from, and it learns.
+#[test]
+fn a_detector_is_trained_further() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut run = Run::start(small(Task::Detector, 40), &at("first"), &[], Device::flex()).unwrap();
+    let first = losses(&mut run, None);
+    let file = at("first").join("last.safetensors");
+    let weights = Weights::read(&file).unwrap();
+    let mut run = Run::start(small(Task::Detector, 4), &at("second"), &[(file, weights)], Device::flex()).unwrap();
+    let further = losses(&mut run, None);
+    assert_eq!(further.len(), 4);
+    let loss = |(_, bits): (u64, u64)| f64::from_bits(bits);
+    assert!(loss(further[0]) < 0.9 * loss(first[0]), "{} {}", loss(further[0]), loss(first[0]));
+    assert!(at("second").join("last.safetensors").exists());
+}
+
 /// Two fixed pairs, cut in their middle and never changed.
 fn by_heart(task: Task, steps: u64) -> TrainSettings {
     let mut settings = small(task, steps);
