@@ -1,7 +1,7 @@
 //! `cargo xtask weights`: trains the shipped detector and matcher again from nothing, and puts them where the program embeds them.
 //!
-//! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`; data and first weights follow
-//! from their seeds, so the first steps must give the losses of the committed weights' record, and that is checked.
+//! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`, one file a stage; data and first
+//! weights follow from their seeds, so the first steps must give the losses of the committed curves beside them, and that is checked.
 
 use std::fs;
 use std::path::Path;
@@ -17,18 +17,20 @@ const CHECKED_STEPS: u64 = 200;
 /// Losses may differ by this share: other processors add in other orders, and a training amplifies that.
 const TOLERANCE: f64 = 0.05;
 
-/// Trains both networks.
+/// Trains both networks, the detector in two stages.
 pub fn train() -> Result<()> {
-    network("detector", None)?;
-    network("matcher", Some("target/weights/detector/last.safetensors"))
+    stage("detector", "detector", None)?;
+    stage("detector", "detector-further", Some("target/weights/detector/last.safetensors"))?;
+    ship("detector", "detector-further")?;
+    stage("matcher", "matcher", Some("target/weights/detector-further/last.safetensors"))?;
+    ship("matcher", "matcher")
 }
 
-fn network(kind: &str, from: Option<&str>) -> Result<()> {
-    let run = format!("target/weights/{kind}");
-    let shipped = format!("crates/tiltline-nets/weights/{kind}.safetensors");
-    let expected = curve(&root().join(&shipped))?;
+/// One run, and the check of its beginning where it begins from nothing but seeds.
+fn stage(kind: &str, name: &str, from: Option<&str>) -> Result<()> {
+    let run = format!("target/weights/{name}");
     let mut arguments = vec!["run", "--release", "--quiet", "-p", "tiltline-cli", "--", "train"];
-    let settings = format!("xtask/weights/{kind}.toml");
+    let settings = format!("xtask/weights/{name}.toml");
     if root().join(&run).join("train.toml").exists() {
         arguments.extend(["--resume", &run]);
     } else {
@@ -38,13 +40,26 @@ fn network(kind: &str, from: Option<&str>) -> Result<()> {
     if !done(&root().join(&run))? {
         cargo(&arguments)?;
     }
-    let metrics = fs::read_to_string(root().join(&run).join("metrics.jsonl")).into_diagnostic()?;
-    for (step, loss) in losses(&metrics)?.into_iter().filter(|(step, _)| *step <= CHECKED_STEPS) {
-        let Some((_, before)) = expected.iter().find(|(known, _)| *known == step) else { continue };
+    let curve = format!("xtask/weights/{name}.jsonl");
+    if from.is_some() {
+        return Ok(());
+    }
+    let expected = losses(&fs::read_to_string(root().join(&curve)).into_diagnostic()?)?;
+    let metrics = losses(&fs::read_to_string(root().join(&run).join("metrics.jsonl")).into_diagnostic()?)?;
+    for (step, before) in expected.into_iter().filter(|(step, _)| *step <= CHECKED_STEPS) {
+        let loss = metrics.iter().find(|(known, _)| *known == step).map(|(_, loss)| *loss);
+        let loss = loss.ok_or_else(|| miette!("{run} has no loss at step {step}, and {curve} has one"))?;
         if (loss / before - 1.0).abs() > TOLERANCE {
-            return Err(miette!("the loss at step {step} is {loss}, and {before} in the record of {shipped}"));
+            return Err(miette!("the loss at step {step} of {run} is {loss}, and {before} in {curve}"));
         }
     }
+    Ok(())
+}
+
+/// Puts the last weights of a run where the program embeds them.
+fn ship(kind: &str, name: &str) -> Result<()> {
+    let run = format!("target/weights/{name}");
+    let shipped = format!("crates/tiltline-nets/weights/{kind}.safetensors");
     let commit =
         Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root()).output().into_diagnostic()?;
     let commit = String::from_utf8_lossy(&commit.stdout).trim().to_owned();
@@ -65,18 +80,6 @@ fn losses(metrics: &str) -> Result<Vec<(u64, f64)>> {
     let lines: Vec<Value> = metrics.lines().map(serde_json::from_str).collect::<Result<_, _>>().into_diagnostic()?;
     let train = lines.iter().filter(|line| line["kind"] == "train");
     Ok(train.filter_map(|line| Some((line["step"].as_u64()?, line["values"]["loss"].as_f64()?))).collect())
-}
-
-/// The curve in the record of a weight file: safetensors begin with the length of their JSON header.
-fn curve(path: &Path) -> Result<Vec<(u64, f64)>> {
-    let bytes = fs::read(path).into_diagnostic()?;
-    let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(|| miette!("{} is cut off", path.display()))?;
-    let header =
-        rest.get(..u64::from_le_bytes(*length) as usize).ok_or_else(|| miette!("{} is cut off", path.display()))?;
-    let header: Value = serde_json::from_slice(header).into_diagnostic()?;
-    let record = header["__metadata__"]["tiltline"].as_str().unwrap_or("{}");
-    let record: Value = serde_json::from_str(record).into_diagnostic()?;
-    losses(record["record"]["curve"].as_str().unwrap_or_default())
 }
 
 fn cargo(arguments: &[&str]) -> Result<()> {

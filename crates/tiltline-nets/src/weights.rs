@@ -377,7 +377,7 @@ impl Weights {
 /// Writes bytes beside the target and moves them into its place once they are on the disk.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::Builder::new().prefix(".tiltline-").tempfile_in(folder)?;
+    let mut file = tiltline::temporary::file_in(folder, ".tiltline-")?;
     file.write_all(bytes)?;
     file.as_file().sync_all()?;
     file.persist(path).map_err(|error| error.error)?;

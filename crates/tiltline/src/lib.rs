@@ -30,6 +30,7 @@ pub mod ridge;
 pub mod score;
 pub mod settings;
 pub mod simulate;
+pub mod temporary;
 pub mod trace;
 pub mod triangulate;
 pub mod truth;

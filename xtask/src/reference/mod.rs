@@ -4,6 +4,7 @@ mod formats;
 mod nets;
 mod readers;
 mod sgbm;
+mod sgbm_sets;
 mod sift;
 mod trace;
 
@@ -19,6 +20,7 @@ const TOPICS: &[Topic] = &[
     ("nets", nets::run),
     ("readers", readers::run),
     ("sgbm", sgbm::run),
+    ("sgbm-sets", sgbm_sets::run),
     ("sift", sift::run),
     ("trace", trace::run),
 ];

@@ -163,7 +163,7 @@ pub(super) fn place(files: &Files, folder: &Path, name: &str) -> Result<(), Data
         let path = path.to_owned();
         move |source| DatasetError::Io { path, source }
     };
-    let temporary = tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(folder).map_err(io(folder))?;
+    let temporary = crate::temporary::folder_in(folder, TEMPORARY).map_err(io(folder))?;
     for (name, bytes) in files {
         fs::write(temporary.path().join(name), bytes).map_err(io(&target.join(name)))?;
     }

@@ -200,7 +200,7 @@ impl Manifest {
     pub fn write(&self, folder: &Path) -> Result<(), DatasetError> {
         let path = folder.join(MANIFEST);
         let io = |source| DatasetError::Io { path: path.clone(), source };
-        let file = tempfile::NamedTempFile::with_prefix_in(".tiltline-", folder).map_err(io)?;
+        let file = crate::temporary::file_in(folder, ".tiltline-").map_err(io)?;
         std::fs::write(file.path(), self.to_toml()).map_err(io)?;
         file.persist(&path).map_err(|error| io(error.error))?;
         Ok(())

@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
+use crate::temporary;
+
 use crate::export::WriteSeek;
 
 /// How the names of temporary folders begin.
@@ -234,9 +236,7 @@ fn parent_of(folder: &Path, target: Target) -> Option<PathBuf> {
 }
 
 fn temporary_in(folder: &Path) -> Result<TempDir, ExportError> {
-    tempfile::Builder::new()
-        .prefix(PREFIX)
-        .tempdir_in(folder)
+    temporary::folder_in(folder, PREFIX)
         .map_err(|source| ExportError::NotWritable { folder: folder.to_owned(), source })
 }
 
@@ -244,8 +244,7 @@ fn temporary_in(folder: &Path) -> Result<TempDir, ExportError> {
 fn replace(from: &Path, to: &Path) -> io::Result<()> {
     match fs::rename(from, to) {
         Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
-            let mut copy =
-                tempfile::Builder::new().prefix(PREFIX).tempfile_in(to.parent().unwrap_or(Path::new(".")))?;
+            let mut copy = temporary::file_in(to.parent().unwrap_or(Path::new(".")), PREFIX)?;
             io::copy(&mut File::open(from)?, copy.as_file_mut())?;
             copy.persist(to).map_err(|error| error.error)?;
             Ok(())

@@ -72,7 +72,7 @@ pub struct SimulateSettings {
     pub size_px: usize,
     /// Tilts of the views in degrees; two are left and right of a pair.
     pub tilts_deg: Vec<f64>,
-    /// A line counts as visible where its contrast is above this multiple of the noise (as seen at the scale of a line).
+    /// A line counts as visible where its contrast is above this multiple of noise and local texture (as seen at the scale of a line).
     pub visible_above_noise: f64,
     /// And above this share of the background.
     pub least_contrast: f64,

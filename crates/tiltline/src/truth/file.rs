@@ -39,7 +39,7 @@ impl Truth {
         let io = |source| TruthError::Io { path: path.into(), source };
         let json = self.to_json()?;
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let file = tempfile::NamedTempFile::new_in(folder).map_err(io)?;
+        let file = crate::temporary::file_in(folder, ".tiltline-").map_err(io)?;
         std::fs::write(file.path(), json).map_err(io)?;
         file.persist(path).map_err(|error| io(error.error))?;
         Ok(())

@@ -99,7 +99,7 @@ pub struct TrueView {
     /// images are taken as epipolar lines.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub input_from_projection: Option<ViewMap>,
-    /// The multiple of the noise above which a point's contrast counts as visible, where it was computed.
+    /// The multiple of noise and local texture above which a point's contrast counts as visible, where it was computed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub visible_above_noise: Option<f64>,
     /// The curves in this image; a curve that is not here is not in the image or was not labelled.
