@@ -1,8 +1,9 @@
-"""OpenCV's StereoSGBM on fixed sets, with the rectification known, by the paper's protocol.
+"""OpenCV's StereoSGBM on fixed sets, with the rectification known.
 
 usage: sgbm_sets.py SET...; each is the folder of a data set (pairs with truth.json). Prints, for each set and block size,
 {"set", "block", "coverage", "epe", "bad": [bad-1, bad-3, bad-5]}; every true left point that is visible in both views counts the
-length of line it stands for, errors are along the row in px of the left image, and a point without a value is bad.
+length of line it stands for, errors are along the row in px of the left image, and a point without a value is bad: the paper's protocol
+(docs/truth.md), but for points whose row the right line does not meet near by, which are left out here. Series are left out.
 """
 
 import json
@@ -96,8 +97,10 @@ def main():
                 bad = [((error > limit) | ~known) @ lengths for limit in (1, 3, 5)]
                 sums[block] += [lengths.sum(), known @ lengths, (error * known) @ lengths, *bad]
         for block, (total, found, error, *bad) in sums.items():
+            if total == 0:
+                continue
             scores.append({
-                "set": folder.parent.name, "block": block, "coverage": found / total, "epe": error / found,
+                "set": folder.parent.name, "block": block, "coverage": found / total, "epe": error / found if found else None,
                 "bad": [100 * value / total for value in bad],
             })
     print(json.dumps({"version": cv2.__version__, "scores": scores}))

@@ -1,13 +1,14 @@
 //! `cargo xtask weights`: trains the shipped detector and matcher again from nothing, and puts them where the program embeds them.
 //!
 //! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`, one file a stage; data and first
-//! weights follow from their seeds, so the first steps must give the losses of the committed curves beside them, and that is checked.
+//! weights follow from their seeds, so the first steps of the stage that begins from nothing must give the losses of the committed curve
+//! beside its settings, and that is checked.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{Context, IntoDiagnostic, Result, miette};
 use serde_json::Value;
 
 use crate::venv::root;
@@ -29,6 +30,11 @@ pub fn train() -> Result<()> {
 /// One run, and the check of its beginning where it begins from nothing but seeds.
 fn stage(kind: &str, name: &str, from: Option<&str>) -> Result<()> {
     let run = format!("target/weights/{name}");
+    let curve = format!("xtask/weights/{name}.jsonl");
+    let expected = match from {
+        Some(_) => Vec::new(),
+        None => losses(&fs::read_to_string(root().join(&curve)).into_diagnostic().wrap_err_with(|| curve.clone())?)?,
+    };
     let mut arguments = vec!["run", "--release", "--quiet", "-p", "tiltline-cli", "--", "train"];
     let settings = format!("xtask/weights/{name}.toml");
     if root().join(&run).join("train.toml").exists() {
@@ -40,11 +46,6 @@ fn stage(kind: &str, name: &str, from: Option<&str>) -> Result<()> {
     if !done(&root().join(&run))? {
         cargo(&arguments)?;
     }
-    let curve = format!("xtask/weights/{name}.jsonl");
-    if from.is_some() {
-        return Ok(());
-    }
-    let expected = losses(&fs::read_to_string(root().join(&curve)).into_diagnostic()?)?;
     let metrics = losses(&fs::read_to_string(root().join(&run).join("metrics.jsonl")).into_diagnostic()?)?;
     for (step, before) in expected.into_iter().filter(|(step, _)| *step <= CHECKED_STEPS) {
         let loss = metrics.iter().find(|(known, _)| *known == step).map(|(_, loss)| *loss);

@@ -70,9 +70,14 @@ impl Detector {
     #[must_use]
     pub fn shifted(self, by: f32) -> Self {
         // Through plain numbers: a weight must be a leaf of the graph, and the result of an addition is none.
+        let bias: Vec<f32> = self.head_bias().into_iter().map(|bias| bias + by).collect();
+        replace(self, |name, _| (name == "head.bias").then(|| bias.clone()))
+    }
+
+    /// The bias of the last layer.
+    pub(crate) fn head_bias(&self) -> Vec<f32> {
         let bias = self.head.bias.as_ref().expect("the head has a bias").val().into_data();
-        let bias: Vec<f32> = bias.try_to_vec().expect("weights are f32");
-        replace(self, |name, _| (name == "head.bias").then(|| bias.iter().map(|bias| bias + by).collect()))
+        bias.try_to_vec().expect("weights are f32")
     }
 
     /// Images `[N, 1, H, W]`, flattened, with sides that are multiples of `DetectorConfig::multiple`.

@@ -1,5 +1,5 @@
 //! Files and folders that take their place when they are complete, with the permissions that others of the user have:
-//! temporary ones are for their owner alone, and results are for a group.
+//! temporary ones are for their owner alone, and results are for a group. Public for `tiltline-nets`, which writes weights so.
 
 use std::io;
 use std::path::Path;

@@ -1,5 +1,5 @@
 //! OpenCV's StereoSGBM on the fixed sets that `cargo xtask accuracy` left in `target/accuracy`, with its rectification known and with
-//! several sizes of block, by the paper's protocol: the figures beside ours in docs/accuracy.md.
+//! several sizes of block: figures beside those of docs/accuracy.md.
 
 use std::path::PathBuf;
 
@@ -21,7 +21,8 @@ struct Score {
     set: String,
     block: usize,
     coverage: f64,
-    epe: f64,
+    /// Mean error where there is a value.
+    epe: Option<f64>,
     /// Percent with an error above 1, 3 and 5 px, or without a value.
     bad: [f64; 3],
 }
@@ -35,10 +36,11 @@ pub fn run(venv: &Venv) -> Result<()> {
     }
     let output = venv.run("sgbm_sets.py", &folders)?;
     let Output { version, scores } = serde_json::from_str(&output).into_diagnostic()?;
-    println!("OpenCV {version}, known rectification, -64 to 63 px");
+    println!("OpenCV {version}, known rectification, -63 to 64 px");
     println!("| set | block | coverage | EPE, px | bad-1, % | bad-3, % | bad-5, % |\n|---|---|---|---|---|---|---|");
     for Score { set, block, coverage, epe, bad: [one, three, five] } in scores {
-        println!("| `{set}` | {block} | {coverage:.3} | {epe:.2} | {one:.1} | {three:.1} | {five:.1} |");
+        let epe = epe.map_or_else(|| "-".to_owned(), |epe| format!("{epe:.2}"));
+        println!("| `{set}` | {block} | {coverage:.3} | {epe} | {one:.1} | {three:.1} | {five:.1} |");
     }
     Ok(())
 }

@@ -74,7 +74,7 @@ fn a_resumed_run_goes_on_as_if_it_had_not_stopped() {
     }
 }
 
-/// What a run gives can be trained on: probabilities of the file are those the next run starts from, and it learns.
+/// What a run gives can be trained on: the head gets back what files leave out, and steps follow.
 #[test]
 fn a_detector_is_trained_further() {
     let folder = tempfile::tempdir().unwrap();
@@ -83,8 +83,13 @@ fn a_detector_is_trained_further() {
     let first = losses(&mut run, None);
     let file = at("first").join("last.safetensors");
     let weights = Weights::read(&file).unwrap();
+    let filed = weights.load_into(Run::networks(&run.settings, &Device::flex()).unwrap().detector, &file).unwrap();
     let mut run = Run::start(small(Task::Detector, 4), &at("second"), &[(file, weights)], Device::flex()).unwrap();
+    let bias = |detector: &crate::detector::Detector| detector.head_bias()[0];
+    let raised = f64::from(bias(&run.networks.detector) - bias(&filed));
+    assert!(run.settings.losses.line > 1.0 && (raised - run.settings.losses.line.ln()).abs() < 1e-5, "{raised}");
     let further = losses(&mut run, None);
+    assert_ne!(further[0].1, further[3].1);
     assert_eq!(further.len(), 4);
     let loss = |(_, bits): (u64, u64)| f64::from_bits(bits);
     assert!(loss(further[0]) < 0.9 * loss(first[0]), "{} {}", loss(further[0]), loss(first[0]));

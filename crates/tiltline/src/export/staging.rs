@@ -10,9 +10,8 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
-use crate::temporary;
-
 use crate::export::WriteSeek;
+use crate::temporary;
 
 /// How the names of temporary folders begin.
 const PREFIX: &str = ".tiltline-";

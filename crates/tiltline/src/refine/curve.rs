@@ -4,7 +4,7 @@
 //!    the curve keeps to one right line.
 //! 2. Disparity is smoothed along arc length with weights 1 / sigma^2 ([`super::smooth`]), which also bridges gaps and
 //!    ill-conditioned stretches from their neighbours; points far off are weighted down (Huber).
-//! 3. Sigma is the posterior one. Errors of tracing are alike over a few px, so that they average more slowly than
+//! 3. Sigma is the posterior one, calibrated ([`CALIBRATION`]). Errors of tracing are alike over a few px, so that they average more slowly than
 //!    independent ones; the error of the row is taken as constant along the curve and passed through the same smoothing.
 
 use rayon::prelude::*;
@@ -31,9 +31,10 @@ const ROUGHNESS_PRIOR: [f64; 2] = [-4.5, 1.0];
 const SLOPE_SIGMA: f64 = 0.3;
 /// Residuals beyond this many sigma are weighted down.
 const HUBER: f64 = 2.5;
-/// What the posterior sigma is multiplied with. The model takes tracing errors for independent and rectification for the only other
-/// one; on foils the centre of contrast also wanders from view to view. Chosen so that two thirds of the true line lie within one
-/// sigma on `val-8deg` and `val-hard` with the classical methods.
+/// What the posterior sigma is multiplied with. The model knows errors of tracing, alike over [`CORRELATION_PX`], and of the row; on
+/// foils the centre of contrast also wanders from view to view, over longer stretches. Chosen on `val-8deg` with the classical methods:
+/// two thirds of the true line within one sigma. Errors have heavier tails than normal ones (wrong matches), so that fewer than 95
+/// percent lie within two.
 pub(super) const CALIBRATION: f64 = 1.75;
 /// Rounds of weighting.
 const ROUNDS: usize = 3;

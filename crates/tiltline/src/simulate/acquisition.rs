@@ -81,11 +81,27 @@ struct Border {
 pub struct Recording {
     /// Intensity `[row, column]`; the background is near the gain.
     pub image: Array2<f32>,
-    /// Standard deviation of the noise on a background of 1 after averaging over the width of a line (a Gaussian of 1.5 px),
-    /// in units of the noise-free image: what a line must stand out from.
-    pub noise: f64,
+    /// What a line must stand out from.
+    pub noise: LineNoise,
     /// Whether a pixel shows the foil (not a black border).
     pub valid: Array2<bool>,
+}
+
+/// Variances of the noise after averaging over the width of a line (a Gaussian of 1.5 px), in units of the noise-free image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineNoise {
+    /// Of the electrons, on a background of 1; it is in proportion to the background.
+    pub shot: f64,
+    /// Of reading, everywhere.
+    pub read: f64,
+}
+
+impl LineNoise {
+    /// Variance relative to a background of this brightness.
+    pub fn variance_at(self, background: f32) -> f32 {
+        let background = f64::from(background).max(0.01);
+        ((self.shot + self.read / background) / background) as f32
+    }
 }
 
 impl AcquisitionSettings {
@@ -200,8 +216,8 @@ impl Acquisition {
         Recording { image: out, noise: self.noise_at_line_scale(), valid }
     }
 
-    /// See [`Recording::noise`]. White noise filtered with a Gaussian of s px has variance 1 / (4 pi s^2).
-    fn noise_at_line_scale(&self) -> f64 {
+    /// White noise filtered with a Gaussian of s px has variance 1 / (4 pi s^2).
+    fn noise_at_line_scale(&self) -> LineNoise {
         let kept = |grain_px: f64| {
             // A pixel's own noise has the extent of a Gaussian of 1 / sqrt(4 pi) px.
             let own = grain_px * grain_px + 0.25 / std::f64::consts::PI;
@@ -209,7 +225,7 @@ impl Acquisition {
         };
         let (coarse_px, share) = self.coarse.unwrap_or((0.0, 0.0));
         let kept = (1.0 - share) * kept(self.grain_px) + share * kept(coarse_px);
-        (kept * (1.0 / self.dose + self.read_noise * self.read_noise)).sqrt()
+        LineNoise { shot: kept / self.dose, read: kept * self.read_noise * self.read_noise }
     }
 
     /// Noise of variance 1 with the recording's own correlation.
@@ -288,7 +304,12 @@ mod tests {
             let averaged = gaussian_blur(&recording.image, LINE_SCALE_PX);
             let deviation = f64::from(averaged.std(0.0));
             // 256 x 256 px hold about 600 independent patches of the coarse grain: 3 percent; and the formula is for the continuum.
-            assert!((deviation / recording.noise - 1.0).abs() < 0.12, "{deviation} {}", recording.noise);
+            let noise = f64::from(recording.noise.variance_at(1.0)).sqrt();
+            assert!((deviation / noise - 1.0).abs() < 0.12, "{deviation} {noise}");
+            // In a darker place: fewer electrons, whose share of noise is larger, and the same noise of reading.
+            let dark = recording.noise.variance_at(0.25);
+            let LineNoise { shot, read } = recording.noise;
+            assert!((f64::from(dark) / (4.0 * shot + 16.0 * read) - 1.0).abs() < 1e-6);
         }
     }
 

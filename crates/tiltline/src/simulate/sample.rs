@@ -17,7 +17,7 @@ use super::parametric::{LookSettings, Specimen};
 use super::physics;
 use super::settings::{Mode, SimulateError, SimulateSettings};
 use super::slab::{Cut, foil_from_network};
-use super::visibility::{followed, texture};
+use super::visibility::{Beside, beside, followed};
 use super::{Camera, Dislocation, Foil};
 use crate::geometry::{Point2, Point3, Vector3};
 use crate::truth::{ProjectedCurve, TrueView, Truth, ViewGeometry, ViewMap};
@@ -324,10 +324,11 @@ fn truth(
     for ((truth, seen), view) in truth.views.iter_mut().zip(seen).zip(views) {
         truth.visible_above_noise = Some(settings.visible_above_noise);
         let lines: Vec<&[Point2]> = seen.curves.iter().map(|curve| &curve.centre[..]).collect();
-        let noise = (view.recording.noise * view.recording.noise) as f32;
-        let least = texture(&seen.image, &lines).mapv(|texture| {
-            let noise = (texture * texture + noise).sqrt();
-            (settings.visible_above_noise as f32 * noise).max(settings.least_contrast as f32)
+        let Beside { background, texture } = beside(&seen.image, &lines);
+        let mut least = texture;
+        least.zip_mut_with(&background, |texture, background| {
+            let noise = (*texture * *texture + view.recording.noise.variance_at(*background)).sqrt();
+            *texture = (settings.visible_above_noise as f32 * noise).max(settings.least_contrast as f32);
         });
         for (curve, seen) in truth.curves.iter_mut().zip(&seen.curves) {
             see(curve, seen, &least, &view.recording.valid);

@@ -13,32 +13,47 @@ use crate::simulate::draw::stroke;
 const BAND_PX: [f64; 2] = [1.5, 8.0];
 /// Texture is averaged over this, px (Gaussian).
 const REACH_PX: f64 = 20.0;
-/// Pixels this near a line do not count as texture.
-const LINE_PX: f64 = 6.0;
+/// Pixels this near a line take no part: the tails of the widest lines end there.
+const LINE_PX: f64 = 10.0;
 /// Deviations count as at most this many times the median deviation of the image: an edge is no texture.
 const MOST: f32 = 4.0;
 /// Prior weight of the texture of the whole image, as a share of the pixels about a place.
 const PRIOR: f32 = 0.05;
 /// Contrast is averaged along a line over this, px (standard deviation): an eye follows a dotted line through its gaps.
 const ALONG_PX: f64 = 5.0;
+/// Share of pixels about a place that must be away from lines for its own background to be known.
+const LEAST_KNOWN: f32 = 1e-4;
 
-/// Standard deviation of what is beside the lines of a noise-free image, at the width of a line and relative to the
-/// background about each pixel.
-pub(super) fn texture(image: &Array2<f32>, lines: &[&[Point2]]) -> Array2<f32> {
-    let (fine, coarse) = (gaussian_blur(image, BAND_PX[0]), gaussian_blur(image, BAND_PX[1]));
+/// What is beside the lines of a noise-free image, at each pixel.
+pub(super) struct Beside {
+    /// Brightness, at the pixels' own scale of 8 px; that of the image itself where there are only lines.
+    pub background: Array2<f32>,
+    /// Root mean square deviation from it at the width of a line, relative to it; large deviations are cut.
+    pub texture: Array2<f32>,
+}
+
+/// Measures what is beside the lines.
+pub(super) fn beside(image: &Array2<f32>, lines: &[&[Point2]]) -> Beside {
     let mut away = Array2::from_elem(image.dim(), 1.0_f32);
     let shape = [image.nrows(), image.ncols()];
     for line in lines {
         stroke(shape, line, LINE_PX, |row, column, _| away[[row, column]] = 0.0);
     }
-    let mut deviation = Array2::zeros(image.dim());
-    Zip::from(&mut deviation).and(&fine).and(&coarse).for_each(|deviation: &mut f32, fine, coarse| {
-        *deviation = ((fine - coarse) / coarse.max(0.05)).abs();
+    let without_lines = image * &away;
+    let [fine, background] = BAND_PX.map(|sigma| {
+        let mut mean = gaussian_blur(&without_lines, sigma);
+        let all = gaussian_blur(image, sigma);
+        Zip::from(&mut mean).and(&gaussian_blur(&away, sigma)).and(&all).for_each(|mean, weight, all| {
+            *mean = if *weight > LEAST_KNOWN { *mean / weight } else { *all };
+        });
+        mean
     });
+    let mut deviation = fine;
+    deviation.zip_mut_with(&background, |fine, coarse| *fine = ((*fine - coarse) / coarse.max(0.02)).abs());
     let mut known: Vec<f32> =
         deviation.iter().zip(&away).filter(|(_, away)| **away > 0.0).map(|(deviation, _)| *deviation).collect();
     if known.is_empty() {
-        return Array2::zeros(image.dim());
+        return Beside { background, texture: Array2::zeros(image.dim()) };
     }
     let middle = known.len() / 2;
     let most = MOST * *known.select_nth_unstable_by(middle, f32::total_cmp).1;
@@ -46,12 +61,12 @@ pub(super) fn texture(image: &Array2<f32>, lines: &[&[Point2]]) -> Array2<f32> {
     let whole = known.iter().map(|value| square(*value)).sum::<f32>() / known.len() as f32;
     let mut squares = deviation.mapv(square);
     squares *= &away;
-    let (mut squares, weights) = (gaussian_blur(&squares, REACH_PX), gaussian_blur(&away, REACH_PX));
-    squares.zip_mut_with(&weights, |sum, weight| *sum = ((*sum + PRIOR * whole) / (weight + PRIOR)).sqrt());
-    squares
+    let (mut texture, weights) = (gaussian_blur(&squares, REACH_PX), gaussian_blur(&away, REACH_PX));
+    texture.zip_mut_with(&weights, |sum, weight| *sum = ((*sum + PRIOR * whole) / (weight + PRIOR)).sqrt());
+    Beside { background, texture }
 }
 
-/// Contrast of a line as an eye follows it: averaged along it.
+/// Contrast of a line as an eye follows it: averaged along it over the points that have any. Those that have none keep none.
 pub(super) fn followed(points: &[Point2], contrast: &[f32]) -> Vec<f32> {
     let mut place = vec![0.0; points.len()];
     for index in 1..points.len() {
@@ -63,9 +78,12 @@ pub(super) fn followed(points: &[Point2], contrast: &[f32]) -> Vec<f32> {
             while place[index] - place[first] > 3.0 * ALONG_PX {
                 first += 1;
             }
+            if contrast[index] <= 0.0 {
+                return 0.0;
+            }
             let near = (first..points.len()).take_while(|&other| place[other] - place[index] <= 3.0 * ALONG_PX);
             let (mut sum, mut total) = (0.0, 0.0);
-            for other in near {
+            for other in near.filter(|&other| contrast[other] > 0.0) {
                 let distance = (place[other] - place[index]) / ALONG_PX;
                 let weight = (-0.5 * distance * distance).exp();
                 sum += weight * f64::from(contrast[other]);
@@ -80,18 +98,23 @@ pub(super) fn followed(points: &[Point2], contrast: &[f32]) -> Vec<f32> {
 mod tests {
     use super::*;
 
-    fn row(count: usize) -> Vec<Point2> {
-        (0..count).map(|x| Point2::new(x as f64, 40.0)).collect()
-    }
-
     #[test]
-    fn a_flat_image_has_no_texture_and_lines_are_none() {
-        let mut image = Array2::from_elem((80, 80), 1.0);
-        let line = row(80);
-        stroke([80, 80], &line, 2.0, |row, column, _| image[[row, column]] = 0.5);
-        let about_line = texture(&image, &[&line]);
-        assert!(about_line.iter().all(|value| *value < 0.01), "{:?}", about_line[[40, 40]]);
-        assert!(texture(&image, &[])[[40, 40]] > 0.02);
+    fn a_clean_image_has_no_texture_however_many_lines_it_has() {
+        let mut image = Array2::from_elem((120, 120), 1.0);
+        let lines: Vec<Vec<Point2>> = (0..5)
+            .map(|line| (0..120).map(|x| Point2::new(f64::from(x), 12.0 + 25.0 * f64::from(line))).collect())
+            .collect();
+        for line in &lines {
+            stroke([120, 120], line, 12.0, |row, column, near| {
+                image[[row, column]] -= 0.6 * (-0.5 * (near.distance / 2.5).powi(2)).exp();
+            });
+        }
+        let lines: Vec<&[Point2]> = lines.iter().map(Vec::as_slice).collect();
+        let found = beside(&image, &lines);
+        assert!(found.texture.iter().all(|value| *value < 0.003), "{}", found.texture[[25, 60]]);
+        assert!(found.background.iter().all(|value| (value - 1.0).abs() < 0.01));
+        // Not known to be lines, they are texture.
+        assert!(beside(&image, &[]).texture[[25, 60]] > 0.05);
     }
 
     #[test]
@@ -103,17 +126,27 @@ mod tests {
                 gain * (1.0 + if column < 128 { 0.1 * wave(row, column) } else { wave(row, column) })
             })
         };
-        let (bright, dark) = (texture(&image(1.0), &[]), texture(&image(0.4), &[]));
+        let (bright, dark) = (beside(&image(1.0), &[]).texture, beside(&image(0.4), &[]).texture);
         assert!(bright[[64, 200]] > 4.0 * bright[[64, 40]], "{} {}", bright[[64, 200]], bright[[64, 40]]);
         assert!((bright[[64, 200]] / dark[[64, 200]] - 1.0).abs() < 0.01);
     }
 
     #[test]
-    fn a_dotted_line_is_followed_through_its_gaps_and_an_end_is_an_end() {
-        let points = row(100);
-        let dotted: Vec<f32> = (0..100).map(|x| if x < 60 && x % 6 < 3 { 1.0 } else { 0.0 }).collect();
+    fn a_dotted_line_is_followed_through_its_gaps_and_what_is_hidden_stays_so() {
+        let points: Vec<Point2> = (0..100).map(|x| Point2::new(f64::from(x), 40.0)).collect();
+        let dotted: Vec<f32> = (0..100)
+            .map(|x| {
+                if x >= 60 {
+                    0.0
+                } else if x % 6 < 3 {
+                    1.0
+                } else {
+                    0.2
+                }
+            })
+            .collect();
         let followed = followed(&points, &dotted);
-        assert!(followed[8..50].iter().all(|value| (value - 0.5).abs() < 0.05));
-        assert!(followed[80..].iter().all(|value| *value < 0.01));
+        assert!(followed[..60].iter().all(|value| (value - 0.6).abs() < 0.15));
+        assert!(followed[60..].iter().all(|value| *value == 0.0));
     }
 }
