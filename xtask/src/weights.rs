@@ -18,25 +18,24 @@ const CHECKED_STEPS: u64 = 200;
 /// Losses may differ by this share: other processors add in other orders, and a training amplifies that.
 const TOLERANCE: f64 = 0.05;
 
-/// Trains both networks, the detector in two stages.
+/// Trains both networks.
 pub fn train() -> Result<()> {
-    stage("detector", "detector", None)?;
-    stage("detector", "detector-further", Some("target/weights/detector/last.safetensors"))?;
-    ship("detector", "detector-further")?;
-    stage("matcher", "matcher", Some("target/weights/detector-further/last.safetensors"))?;
-    ship("matcher", "matcher")
+    stage("detector", None)?;
+    ship("detector")?;
+    stage("matcher", Some("target/weights/detector/last.safetensors"))?;
+    ship("matcher")
 }
 
 /// One run, and the check of its beginning where it begins from nothing but seeds.
-fn stage(kind: &str, name: &str, from: Option<&str>) -> Result<()> {
-    let run = format!("target/weights/{name}");
-    let curve = format!("xtask/weights/{name}.jsonl");
+fn stage(kind: &str, from: Option<&str>) -> Result<()> {
+    let run = format!("target/weights/{kind}");
+    let curve = format!("xtask/weights/{kind}.jsonl");
     let expected = match from {
         Some(_) => Vec::new(),
         None => losses(&fs::read_to_string(root().join(&curve)).into_diagnostic().wrap_err_with(|| curve.clone())?)?,
     };
     let mut arguments = vec!["run", "--release", "--quiet", "-p", "tiltline-cli", "--", "train"];
-    let settings = format!("xtask/weights/{name}.toml");
+    let settings = format!("xtask/weights/{kind}.toml");
     if root().join(&run).join("train.toml").exists() {
         arguments.extend(["--resume", &run]);
     } else {
@@ -58,8 +57,8 @@ fn stage(kind: &str, name: &str, from: Option<&str>) -> Result<()> {
 }
 
 /// Puts the last weights of a run where the program embeds them.
-fn ship(kind: &str, name: &str) -> Result<()> {
-    let run = format!("target/weights/{name}");
+fn ship(kind: &str) -> Result<()> {
+    let run = format!("target/weights/{kind}");
     let shipped = format!("crates/tiltline-nets/weights/{kind}.safetensors");
     let commit =
         Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root()).output().into_diagnostic()?;

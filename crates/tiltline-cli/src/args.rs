@@ -91,7 +91,7 @@ pub struct Method {
     /// Weights of a network, a detector's or a matcher's (both: repeat it), instead of those that are part of the program.
     #[arg(long, value_name = "FILE")]
     pub weights: Vec<PathBuf>,
-    /// Whether lines are darker or brighter than what surrounds them.
+    /// Whether lines are darker or brighter than what surrounds them (for --detector ridge; the network finds both)
     #[arg(long, value_name = "CONTRAST")]
     pub lines: Option<Lines>,
     /// Largest disparity to look for, in px of the left image; without it, from the spread of the point matches.

@@ -18,9 +18,9 @@ use tiltline_nets::weights::NetworkConfig;
 #[serde(rename_all = "kebab-case")]
 pub enum Detector {
     /// A network.
+    #[default]
     Net,
     /// The ridge filter, which needs no weights.
-    #[default]
     Ridge,
 }
 
@@ -29,9 +29,9 @@ pub enum Detector {
 #[serde(rename_all = "kebab-case")]
 pub enum Matcher {
     /// A network.
+    #[default]
     Net,
     /// Dynamic programming along the lines, which needs no weights.
-    #[default]
     Classical,
 }
 

@@ -21,7 +21,7 @@ use tiltline::warning::Warning;
 use crate::args::{Cli, Lines, Method, Reconstruct, Refine};
 use crate::config::{Config, RunRecord, run_toml};
 use crate::interrupt;
-use crate::method::Stages;
+use crate::method::{Detector, Stages};
 use crate::output;
 use crate::progress::Display;
 use crate::summary::{Provenance, Summary};
@@ -120,6 +120,11 @@ pub fn method(flags: &Method) -> Result<Config> {
     }
     let settings = &mut config.settings;
     if let Some(lines) = flags.lines {
+        if config.method.detector == Detector::Net {
+            wrong_usage(
+                "--lines is for the ridge filter (--detector ridge): the network finds dark and bright lines alike",
+            );
+        }
         settings.ridge.lines = match lines {
             Lines::Dark => LinePolarity::Dark,
             Lines::Bright => LinePolarity::Bright,

@@ -86,7 +86,7 @@ fn a_benchmark_counts_pairs_that_fail_and_goes_on_where_it_stopped() {
     assert!(stderr(bench().args(["--refine", "none"]), 1).contains("another benchmark"));
     let reports = folder.path().join("reports");
     score(&["-o", &reports.to_string_lossy()]);
-    assert!(fs::read_to_string(reports.join("scores.md")).unwrap().contains("ridge detector"));
+    assert!(fs::read_to_string(reports.join("scores.md")).unwrap().contains("detector, net "));
     fs::write(data.join("00001/left.tif"), "not an image").unwrap();
     assert!(stderr(tiltline().arg("score").arg(&out), 1).contains("left.tif"));
 }

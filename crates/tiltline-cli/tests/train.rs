@@ -78,7 +78,7 @@ fn a_detector_and_a_matcher_are_trained_resumed_and_used() {
         .arg("reconstruct")
         .arg(example("rendered_-4deg.png"))
         .arg(example("rendered_+4deg.png"));
-    reconstruct.args(["--tilts=-4,4", "--matcher", "net", "--weights", "matcher/last.safetensors", "-o", "out"]);
+    reconstruct.args(["--tilts=-4,4", "--detector", "ridge", "--weights", "matcher/last.safetensors", "-o", "out"]);
     reconstruct.assert().success();
     let record = fs::read_to_string(here.join("out/run.toml")).unwrap();
     assert!(record.contains("matcher = \"net ") && record.contains("detector = \"ridge\""), "{record}");
