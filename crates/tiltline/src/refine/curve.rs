@@ -35,7 +35,7 @@ const HUBER: f64 = 2.5;
 /// foils the centre of contrast also wanders from view to view, over longer stretches. Chosen on `val-8deg` with the classical methods:
 /// two thirds of the true line within one sigma. Errors have heavier tails than normal ones (wrong matches), so that fewer than 95
 /// percent lie within two.
-pub(super) const CALIBRATION: f64 = 1.75;
+pub(crate) const CALIBRATION: f64 = 1.75;
 /// Rounds of weighting.
 const ROUNDS: usize = 3;
 /// A line that turns by more than this within [`KINK_REACH`] points on either side has a kink.

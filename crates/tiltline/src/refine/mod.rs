@@ -2,7 +2,7 @@
 //!
 //! [`Refinement::Nearest`] is the paper's method, [`Refinement::Curve`] ours; each has its file.
 
-mod curve;
+pub(crate) mod curve;
 mod nearest;
 mod smooth;
 
