@@ -16,8 +16,8 @@ How well `tiltline reconstruct` finds lines and depths in the fixed simulated se
 Made by `cargo xtask accuracy`, which runs `tiltline bench SET` and `tiltline score` for each set; the settings are the defaults. The
 sets' SHA-256 are in `crates/tiltline/src/dataset/sets.toml`. In brackets: 95 percent intervals over pairs.
 
-This is the classical pipeline, the baseline: ridge filter, dynamic programming, no network. `val-*` sets are for choosing between settings
-and weights, the others for reporting. Nothing is trained on any of them. Simulated images are meant to be harder and more varied than real ones
+These are the networks that are part of the program; the classical methods on the same sets (`tiltline bench SET --detector ridge --matcher classical`)
+are beside them in docs/networks.md. `val-*` sets are for choosing between settings and weights, the others for reporting. Nothing is trained on any of them. Simulated images are meant to be harder and more varied than real ones
 of good quality; a pair that cannot be reconstructed counts as nothing found.
 
 ";
