@@ -126,13 +126,15 @@ fn last(run: &mut Run) -> BTreeMap<String, f64> {
 #[test]
 fn the_detector_learns_a_few_images_by_heart() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = by_heart(Task::Detector, 700);
-    let data = settings.data.clone();
+    let mut settings = by_heart(Task::Detector, 700);
+    // Foils that both show lines.
+    settings.seed = 15;
+    let (data, seed) = (settings.data.clone(), settings.seed);
     let mut run = Run::start(settings, &folder.path().join("run"), &[], Device::flex()).unwrap();
     last(&mut run);
     let named = crate::infer::Named::read(&folder.path().join("run/last.safetensors")).unwrap();
     let detector = crate::infer::NetDetector::new(&named, &Device::flex()).unwrap();
-    let source = Source::new(&data, DataTask::Detector, 1, Split::Train).unwrap();
+    let source = Source::new(&data, DataTask::Detector, seed, Split::Train).unwrap();
     let batch = source.batch(0).unwrap();
     let shape = (batch.side, batch.side);
     for (image, lines) in

@@ -118,7 +118,7 @@ fn the_error_of_the_row_is_not_averaged_away() {
         refined[0].points[70].sigma_px
     };
     // A calibrated sigma is larger than what the model alone says, by the stated factor.
-    let modelled = |sigma_row_px: f64| sigma(sigma_row_px) / super::curve::CALIBRATION;
+    let modelled = |sigma_row_px: f64| sigma(sigma_row_px) / curve::CALIBRATION;
     assert!(modelled(0.0) < 0.1);
     assert!(modelled(0.7) > 0.69 && modelled(0.7) < 0.85, "{}", modelled(0.7));
 }
