@@ -7,6 +7,7 @@ use miette::{IntoDiagnostic, Result, WrapErr, miette};
 use serde::{Deserialize, Serialize};
 use tiltline::dataset::sets::{SETS, Set};
 use tiltline::dataset::{Dataset, Item, Manifest};
+use tiltline::oracle::TruthOracle;
 use tiltline::score::ResultCurves;
 use tiltline::settings::Settings;
 use tiltline::simulate::Lines;
@@ -135,7 +136,12 @@ pub fn run(flags: &Bench) -> Result<()> {
     let config = method(&flags.method)?;
     config.settings.validate().into_diagnostic()?;
     let (dataset, data) = data(flags)?;
-    let stages = Stages::new(&config.method, &config.settings)?;
+    let items = &dataset.manifest.items;
+    let oracle = match items.first().filter(|_| config.method.needs_truth()) {
+        Some(item) => Some(oracle(&dataset, item)?),
+        None => None,
+    };
+    let stages = Stages::new(&config.method, &config.settings, oracle.as_ref())?;
     let record = Record {
         set: dataset.manifest.name.clone().unwrap_or_else(|| flags.set.clone()),
         data,
@@ -147,7 +153,6 @@ pub fn run(flags: &Bench) -> Result<()> {
     };
     begin(&flags.output, &record)?;
     interrupt::resumable();
-    let items = &dataset.manifest.items;
     let count = Count::new("reconstructing", flags.verbosity);
     let mut failed = 0;
     for (index, item) in items.iter().enumerate() {
@@ -163,6 +168,12 @@ pub fn run(flags: &Bench) -> Result<()> {
         );
     }
     output::print(&format!("{text}\nscore them: tiltline score {folder}\n"))
+}
+
+/// What knows the truth about an item.
+fn oracle(dataset: &Dataset, item: &Item) -> Result<TruthOracle> {
+    let truth = dataset.truth(item).into_diagnostic()?;
+    Ok(TruthOracle::new(&truth.pair(item.pair[0], item.pair[1]).into_diagnostic()?))
 }
 
 /// The data, made if need be, and their place as seen from the folder of the results.
@@ -231,6 +242,12 @@ fn reconstructed(dataset: &Dataset, item: &Item, config: &Config, stages: &Stage
         config.acquisition.tilts_deg =
             Some([tilts.left_rad, tilts.right_rad].map(|tilt| (tilt.to_degrees() * 1e6).round() / 1e6));
     }
+    let own = if config.method.needs_truth() {
+        Some(Stages::new(&config.method, &config.settings, Some(&TruthOracle::new(&pair)))?)
+    } else {
+        None
+    };
+    let stages = own.as_ref().unwrap_or(stages);
     match reconstruct([&images[0], &images[1]], &mut config, stages, &target, false, &|_| {}) {
         Ok(_) => Ok(true),
         Err(error) => {

@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use miette::{IntoDiagnostic, Result, miette};
 use serde::{Deserialize, Serialize};
 use tiltline::matching::ClassicalMatcher;
+use tiltline::oracle::TruthOracle;
 use tiltline::pipeline::{Detect, Match};
 use tiltline::ridge::RidgeDetector;
 use tiltline::settings::Settings;
@@ -22,6 +23,8 @@ pub enum Detector {
     Net,
     /// The ridge filter, which needs no weights.
     Ridge,
+    /// The truth about the pair (`tiltline bench` only): shows what the other stages lose.
+    Truth,
 }
 
 /// What finds disparities.
@@ -33,6 +36,8 @@ pub enum Matcher {
     Net,
     /// Dynamic programming along the lines, which needs no weights.
     Classical,
+    /// The truth about the pair (`tiltline bench` only): shows what the other stages lose.
+    Truth,
 }
 
 /// The section `[method]` of a settings file.
@@ -57,9 +62,20 @@ pub struct Stages {
     pub names: [String; 2],
 }
 
+impl MethodSettings {
+    /// Whether a stage is the truth, which only a benchmark knows.
+    pub fn needs_truth(&self) -> bool {
+        self.detector == Detector::Truth || self.matcher == Matcher::Truth
+    }
+}
+
 impl Stages {
-    /// The stages of some settings.
-    pub fn new(method: &MethodSettings, settings: &Settings) -> Result<Self> {
+    /// The stages of some settings, and of the truth about the pair where it is known.
+    pub fn new(method: &MethodSettings, settings: &Settings, truth: Option<&TruthOracle>) -> Result<Self> {
+        let known = || {
+            let message = "the truth is a detector or matcher of `tiltline bench` only: name another";
+            truth.cloned().ok_or_else(|| miette!("{message}"))
+        };
         let mut given: Vec<Named> =
             method.weights.iter().map(|path| Named::read(path).into_diagnostic()).collect::<Result<_>>()?;
         let nets = [method.detector == Detector::Net, method.matcher == Matcher::Net];
@@ -86,34 +102,40 @@ impl Stages {
             Ok(named)
         };
         let name = |named: &Named| format!("net {}", &named.weights.sha256[..16]);
-        let (ridge, classical) = (("ridge".to_owned()), "classical".to_owned());
-        let (detector, detector_name): (Box<dyn Detect>, String) = if nets[0] {
-            let named = take(true)?;
-            (Box::new(NetDetector::new(&named, &device).into_diagnostic()?), name(&named))
-        } else {
-            (Box::new(RidgeDetector { settings: settings.ridge.clone() }), ridge)
+        let (detector, detector_name): (Box<dyn Detect>, String) = match method.detector {
+            Detector::Net => {
+                let named = take(true)?;
+                (Box::new(NetDetector::new(&named, &device).into_diagnostic()?), name(&named))
+            }
+            Detector::Ridge => (Box::new(RidgeDetector { settings: settings.ridge.clone() }), "ridge".into()),
+            Detector::Truth => (Box::new(known()?), "truth".into()),
         };
-        let (matcher, matcher_name): (Box<dyn Match>, String) = if nets[1] {
-            let named = take(false)?;
-            let features = match &named.weights.network {
-                NetworkConfig::Matcher(config) if config.input == tiltline_nets::config::MatcherInput::Features => {
-                    let detector = take(true)?;
-                    if let Some(known) =
-                        named.weights.record.get("from-detector").filter(|known| **known != detector.weights.sha256)
-                    {
-                        return Err(miette!(
-                            "{} was trained on the features of the detector with SHA-256 {known}; give that one with --weights",
-                            named.path.display()
-                        ));
+        let (matcher, matcher_name): (Box<dyn Match>, String) = match method.matcher {
+            Matcher::Net => {
+                let named = take(false)?;
+                let features = match &named.weights.network {
+                    NetworkConfig::Matcher(config) if config.input == tiltline_nets::config::MatcherInput::Features => {
+                        let detector = take(true)?;
+                        if let Some(known) =
+                            named.weights.record.get("from-detector").filter(|known| **known != detector.weights.sha256)
+                        {
+                            return Err(miette!(
+                                "{} was trained on the features of the detector with SHA-256 {known}; give that one with --weights",
+                                named.path.display()
+                            ));
+                        }
+                        Some(NetDetector::new(&detector, &device).into_diagnostic()?)
                     }
-                    Some(NetDetector::new(&detector, &device).into_diagnostic()?)
-                }
-                _ => None,
-            };
-            let matcher = NetMatcher::new(&named, features, settings.matching.clone(), &device).into_diagnostic()?;
-            (Box::new(matcher), name(&named))
-        } else {
-            (Box::new(ClassicalMatcher { settings: settings.matching.clone() }), classical)
+                    _ => None,
+                };
+                let matcher =
+                    NetMatcher::new(&named, features, settings.matching.clone(), &device).into_diagnostic()?;
+                (Box::new(matcher), name(&named))
+            }
+            Matcher::Classical => {
+                (Box::new(ClassicalMatcher { settings: settings.matching.clone() }), "classical".into())
+            }
+            Matcher::Truth => (Box::new(known()?), "truth".into()),
         };
         if let Some(unused) = given.first() {
             return Err(miette!(

@@ -32,7 +32,7 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     export::check_target(&flags.output, flags.force).into_diagnostic()?;
     let display = Display::new(flags.verbosity);
     let images = [flags.left.as_str(), &flags.right];
-    let stages = Stages::new(&config.method, &config.settings)?;
+    let stages = Stages::new(&config.method, &config.settings, None)?;
     let summary = reconstruct(images, &mut config, &stages, &flags.output, flags.force, &|event| display.show(event))?;
     display.clear();
     if flags.json {
