@@ -76,7 +76,7 @@ fn capital(text: &str) -> String {
 }
 
 /// Runs the project's own command, as a user would.
-fn tiltline(arguments: &[&str], last: &Path) -> Result<()> {
+pub fn tiltline(arguments: &[&str], last: &Path) -> Result<()> {
     let status = Command::new(env!("CARGO"))
         .args(["run", "--quiet", "--release", "-p", "tiltline-cli", "--"])
         .args(arguments)

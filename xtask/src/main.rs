@@ -1,6 +1,7 @@
-//! The project's own chores: `cargo xtask ci|test|reference|accuracy|real|weights|figures|example`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|ablation|real|speed|weights|figures|example`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod ablation;
 mod accuracy;
 mod chores;
 mod example;
@@ -8,6 +9,7 @@ mod figures;
 mod npy;
 mod real;
 mod reference;
+mod speed;
 mod venv;
 mod weights;
 
@@ -18,7 +20,9 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   test                  the tests
   reference [TOPIC...]  comparisons with independent implementations (needs Python)
   accuracy              scores the program on the fixed sets: docs/accuracy.md
+  ablation              what each stage loses on the fixed sets: docs/ablation.md
   real [IMAGES]         the detector on real images labelled by hand (xtask/labels)
+  speed                 time and memory of `tiltline reconstruct` from 512 to 4096 px
   weights               trains the shipped networks again (hours; goes on where it was stopped)
   figures               draws the pictures of docs/simulator.md again
   example               renders the example pair in examples/ again";
@@ -30,7 +34,9 @@ fn main() -> Result<()> {
         Some("test") => chores::test(),
         Some("reference") => reference::run(&arguments[1..]),
         Some("accuracy") => accuracy::measure(),
+        Some("ablation") => ablation::measure(),
         Some("real") => real::measure(&arguments[1..]),
+        Some("speed") => speed::measure(),
         Some("weights") => weights::train(),
         Some("figures") => figures::draw(),
         Some("example") => example::render_pair(),

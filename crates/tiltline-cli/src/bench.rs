@@ -33,6 +33,9 @@ pub struct Bench {
     /// Where the set is, or is made; FOLDER/data if absent.
     #[arg(long, value_name = "FOLDER")]
     pub data: Option<PathBuf>,
+    /// Rectify by the known geometry instead of estimating it: shows what the estimate loses.
+    #[arg(long)]
+    pub known_rectification: bool,
     /// How lines are found and matched.
     #[command(flatten)]
     pub method: Method,
@@ -70,6 +73,9 @@ pub struct Record {
     pub detector: String,
     /// Name of the matcher.
     pub matcher: String,
+    /// Whether pairs are rectified by their known geometry.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub known_rectification: bool,
     /// Settings of the reconstruction.
     pub settings: Settings,
 }
@@ -111,7 +117,8 @@ impl Record {
         let mut changes = Vec::new();
         differences("", &given, &defaults, &mut changes);
         let changes = if changes.is_empty() { "defaults".into() } else { changes.join(", ") };
-        Ok(format!("{} detector, {} matcher, {changes}", self.detector, self.matcher))
+        let known = if self.known_rectification { "known rectification, " } else { "" };
+        Ok(format!("{known}{} detector, {} matcher, {changes}", self.detector, self.matcher))
     }
 }
 
@@ -149,6 +156,7 @@ pub fn run(flags: &Bench) -> Result<()> {
         version: env!("CARGO_PKG_VERSION").into(),
         detector: stages.names[0].clone(),
         matcher: stages.names[1].clone(),
+        known_rectification: flags.known_rectification,
         settings: config.settings.clone(),
     };
     begin(&flags.output, &record)?;
@@ -157,7 +165,7 @@ pub fn run(flags: &Bench) -> Result<()> {
     let mut failed = 0;
     for (index, item) in items.iter().enumerate() {
         count.show(index, items.len());
-        failed += usize::from(!reconstructed(&dataset, item, &config, &stages, &flags.output)?);
+        failed += usize::from(!reconstructed(&dataset, item, &config, &stages, flags)?);
     }
     count.clear();
     let folder = flags.output.display();
@@ -229,8 +237,8 @@ fn begin(folder: &Path, record: &Record) -> Result<()> {
 }
 
 /// Reconstructs an item unless that was done; false where it cannot be.
-fn reconstructed(dataset: &Dataset, item: &Item, config: &Config, stages: &Stages, folder: &Path) -> Result<bool> {
-    let target = result_folder(folder, item);
+fn reconstructed(dataset: &Dataset, item: &Item, config: &Config, stages: &Stages, flags: &Bench) -> Result<bool> {
+    let target = result_folder(&flags.output, item);
     if target.exists() {
         return Ok(!target.join(FAILED).is_file());
     }
@@ -242,8 +250,13 @@ fn reconstructed(dataset: &Dataset, item: &Item, config: &Config, stages: &Stage
         config.acquisition.tilts_deg =
             Some([tilts.left_rad, tilts.right_rad].map(|tilt| (tilt.to_degrees() * 1e6).round() / 1e6));
     }
-    let own = if config.method.needs_truth() {
-        Some(Stages::new(&config.method, &config.settings, Some(&TruthOracle::new(&pair)))?)
+    let own = if config.method.needs_truth() || flags.known_rectification {
+        let mut own = Stages::new(&config.method, &config.settings, Some(&TruthOracle::new(&pair)))?;
+        if flags.known_rectification {
+            let unknown = || miette!("the geometry of {} is not known: leave --known-rectification out", item.name);
+            own.geometry = Some(pair.geometry.ok_or_else(unknown)?);
+        }
+        Some(own)
     } else {
         None
     };

@@ -10,6 +10,7 @@ use tiltline::oracle::TruthOracle;
 use tiltline::pipeline::{Detect, Match};
 use tiltline::ridge::RidgeDetector;
 use tiltline::settings::Settings;
+use tiltline::truth::PairGeometry;
 use tiltline_nets::device::{Place, prepare_memory};
 use tiltline_nets::infer::{Named, NetDetector, NetMatcher};
 use tiltline_nets::weights::NetworkConfig;
@@ -60,6 +61,8 @@ pub struct Stages {
     pub matcher: Box<dyn Match>,
     /// Names for records; those of networks with the hash of their weights.
     pub names: [String; 2],
+    /// The geometry of the pair, where it is known and must not be estimated.
+    pub geometry: Option<PairGeometry>,
 }
 
 impl MethodSettings {
@@ -145,6 +148,6 @@ impl Stages {
                 unused.weights.network.word()
             ));
         }
-        Ok(Self { detector, matcher, names: [detector_name, matcher_name] })
+        Ok(Self { detector, matcher, names: [detector_name, matcher_name], geometry: None })
     }
 }

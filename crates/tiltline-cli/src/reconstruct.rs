@@ -14,6 +14,7 @@ use tiltline::io::{Found, Reading, parse_tilts, read_micrograph_with};
 use tiltline::micrograph::StereoPair;
 use tiltline::pipeline;
 use tiltline::progress::{Event, Stage};
+use tiltline::rectify::{Rectification, rectify_known};
 use tiltline::refine::Refinement;
 use tiltline::ridge::LinePolarity;
 use tiltline::warning::Warning;
@@ -61,8 +62,15 @@ pub fn reconstruct(
     let (pair, provenance, mut warnings) = timed(&progress, Stage::Read, || read_pair(images, config))?;
     let sources = [pair.left.source.clone(), pair.right.source.clone()];
     let settings = &config.settings;
-    let mut result =
-        pipeline::reconstruct(pair, &*stages.detector, &*stages.matcher, settings, &progress).into_diagnostic()?;
+    let (detector, matcher) = (&*stages.detector, &*stages.matcher);
+    let mut result = match &stages.geometry {
+        None => pipeline::reconstruct(pair, detector, matcher, settings, &progress).into_diagnostic()?,
+        Some(geometry) => {
+            let (height, width) = pair.left.intensity.dim();
+            let rectified = rectify_known(&pair, Rectification::of_truth(geometry, [height, width]));
+            pipeline::reconstruct_rectified(pair, rectified, Vec::new(), detector, matcher, settings, &progress)
+        }
+    };
     warnings.append(&mut result.warnings);
     result.warnings = warnings;
     let [left, right] = sources;

@@ -1,6 +1,8 @@
 //! The oracle: a detector and a matcher that know the curves. They prove the geometry before any image is involved,
 //! and, swapped in for one stage, show which stage loses accuracy.
 
+use nalgebra::Translation2;
+
 use crate::curve::{Flag, LineMap, MatchedCurve, MatchedPoint, TraceGraph};
 use crate::geometry::{Point2, Similarity2, TiltPair, Vector2};
 use crate::micrograph::View;
@@ -8,7 +10,7 @@ use crate::pipeline::{Detect, Match};
 use crate::rectify::{Rectification, RectifiedPair};
 use crate::simulate::draw::union_of_profiles;
 use crate::simulate::{Scene, ViewSettings};
-use crate::truth::TruthPair;
+use crate::truth::{PairGeometry, TruthPair};
 
 /// Standard deviation in px of the lines that the oracle's detector draws.
 const LINE_SIGMA_PX: f64 = 1.5;
@@ -141,23 +143,37 @@ impl Rectification {
     /// The exact rectification of two views whose geometry is known, without an estimate: the rectified grid is the
     /// left image turned about its centre so that the tilt axis is vertical.
     pub fn from_known_views(left: &ViewSettings, right: &ViewSettings) -> Self {
-        let centre = Vector2::new(0.5 * (left.shape[1] as f64 - 1.0), 0.5 * (left.shape[0] as f64 - 1.0));
-        let rectified_from_projection = Similarity2::new(centre, 0.0, left.scale);
+        let rectified_from_projection = Similarity2::new(centre_of(left.shape), 0.0, left.scale);
+        let maps = [left, right].map(|view| rectified_from_projection * view.image_from_projection().inverse());
+        Self::known(maps, left.shape)
+    }
+
+    /// The exact rectification of a pair of a truth: the rectified grid has the size of the left image, the tilt axis upright,
+    /// and the middle of the left image in its middle.
+    pub fn of_truth(geometry: &PairGeometry, shape: [usize; 2]) -> Self {
+        let centre = centre_of(shape);
+        let shift = centre - (geometry.rows_from_left * Point2::from(centre)).coords;
+        let shift = Translation2::from(shift);
+        Self::known([shift * geometry.rows_from_left, shift * geometry.rows_from_right], shape)
+    }
+
+    fn known([rectified_from_left, rectified_from_right]: [Similarity2; 2], shape: [usize; 2]) -> Self {
+        let axis_rad = [&rectified_from_left, &rectified_from_right].map(|map| -map.isometry.rotation.angle());
         Self {
-            rectified_from_left: rectified_from_projection * left.image_from_projection().inverse(),
-            rectified_from_right: rectified_from_projection * right.image_from_projection().inverse(),
-            shape: left.shape,
+            rectified_from_left,
+            rectified_from_right,
+            shape,
             inliers: 0,
             matches: 0,
             rms_row_error_px: 0.0,
             sigma_row_px: 0.0,
-            axis_deg: left.axis_rad.to_degrees(),
+            axis_deg: axis_rad[0].to_degrees(),
             axis_sigma_deg: 0.0,
             axis_held_by_prior: false,
             eigenvalue_ratio: None,
-            relative_rotation_deg: (right.axis_rad - left.axis_rad).to_degrees(),
-            relative_scale: right.scale / left.scale,
-            right_from_left: right.image_from_projection() * left.image_from_projection().inverse(),
+            relative_rotation_deg: (axis_rad[1] - axis_rad[0]).to_degrees(),
+            relative_scale: rectified_from_left.scaling() / rectified_from_right.scaling(),
+            right_from_left: rectified_from_right.inverse() * rectified_from_left,
             disparity_range_px: [0.0, 0.0],
         }
     }
@@ -166,4 +182,9 @@ impl Rectification {
     pub fn disparity_of_depth(tilts: &TiltPair, z: f64) -> f64 {
         z / tilts.depth_gain()
     }
+}
+
+/// Centre of an image of some rows and columns.
+fn centre_of(shape: [usize; 2]) -> Vector2 {
+    Vector2::new(0.5 * (shape[1] as f64 - 1.0), 0.5 * (shape[0] as f64 - 1.0))
 }

@@ -185,10 +185,20 @@ pub fn rectify(
     }
     let shapes = images.each_ref().map(|image| [image.nrows(), image.ncols()]);
     let (rectification, mut warnings) = estimate(&matches, shapes, pair.tilt_axis_rad, settings, seed)?;
-    let maps = [&rectification.rectified_from_left, &rectification.rectified_from_right];
-    let [left, right] = [0, 1].map(|view| resample(&images[view].view(), maps[view], rectification.shape));
-    if right.iter().all(|value| value.is_nan()) {
+    let rectified = resampled(&images, rectification);
+    if rectified.right.iter().all(|value| value.is_nan()) {
         warnings.push(Warning::new(Stage::Rectify, "the images do not overlap: no line can be matched"));
     }
-    Ok((RectifiedPair { left, right, rectification }, warnings))
+    Ok((rectified, warnings))
+}
+
+/// Resamples a pair whose geometry is known.
+pub fn rectify_known(pair: &StereoPair, rectification: Rectification) -> RectifiedPair {
+    resampled(&View::BOTH.map(|view| pair.view(view).normalised()), rectification)
+}
+
+fn resampled(images: &[Array2<f32>; 2], rectification: Rectification) -> RectifiedPair {
+    let maps = [&rectification.rectified_from_left, &rectification.rectified_from_right];
+    let [left, right] = [0, 1].map(|view| resample(&images[view].view(), maps[view], rectification.shape));
+    RectifiedPair { left, right, rectification }
 }
