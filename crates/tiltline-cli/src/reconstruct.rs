@@ -66,7 +66,7 @@ pub fn reconstruct(
     let mut result = match &stages.geometry {
         None => pipeline::reconstruct(pair, detector, matcher, settings, &progress).into_diagnostic()?,
         Some(geometry) => {
-            let (height, width) = pair.left.intensity.dim();
+            let (height, width) = pair.left.pixels.dim();
             let rectified = rectify_known(&pair, Rectification::of_truth(geometry, [height, width]));
             pipeline::reconstruct_rectified(pair, rectified, Vec::new(), detector, matcher, settings, &progress)
         }
