@@ -108,6 +108,7 @@ impl Rectification {
             relative_scale: right.scale / left.scale,
             right_from_left: right.image_from_projection() * left.image_from_projection().inverse(),
             disparity_range_px: [0.0, 0.0],
+            points: Vec::new(),
         }
     }
 
