@@ -8,6 +8,7 @@ const sha256 = (text) => createHash("sha256").update(text).digest("base64");
 /** Puts the one script and the one style into page.html, and their hashes into its Content-Security-Policy. */
 const onePage = {
   name: "one-page",
+  enforce: "post",
   generateBundle(_options, bundle) {
     const files = Object.values(bundle);
     const script = files
