@@ -84,7 +84,7 @@ export function bars(label: string, bins: Bins, colour: (value: number) => Rgb, 
 export function map(label: string, points: { x: number; y: number; colour: Rgb; text: string }[], shape: [number, number]): SVGElement {
   const [rows, columns] = shape;
   const inner = WIDTH - MARGIN.left - MARGIN.right;
-  const height = Math.min(470, (inner * rows) / columns + MARGIN.top + MARGIN.bottom);
+  const height = Math.min(336, (inner * rows) / columns + MARGIN.top + MARGIN.bottom);
   // Both axes at one scale.
   const scale = (height - MARGIN.top - MARGIN.bottom) / rows;
   const spare = (inner / scale - columns) / 2;

@@ -20,6 +20,11 @@ export function digits(value: number, count = 3): string {
   return fixed(value, Math.min(6, Math.max(0, count - 1 - magnitude)));
 }
 
+/** A number with up to four digits that count and no zeros at its end. */
+export function short(value: number): string {
+  return digits(value, 4).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
+}
+
 /** A value and its error with the decimals that the error allows: `5030 ± 69`. */
 export function withError(value: number, sigma: number): string {
   const decimals = sigma > 0 ? Math.min(6, Math.max(0, 1 - Math.floor(Math.log10(sigma)))) : 0;

@@ -1,9 +1,10 @@
 // Both rectified images with one zoom: what was detected, matched and measured drawn over them, and a line across
 // both under the pointer, since a point and its match lie on the same row.
 
-import { css, diverging } from "./colour";
+import { type Rgb, css } from "./colour";
 import type { Model } from "./data";
-import { choice, fitted, h, onFrame, tick } from "./dom";
+import { choice, fitted, h, onFrame, s, tick } from "./dom";
+import { ticks } from "./format";
 import { drawRing, drawScaleBar, nearest } from "./overlay";
 import { type Store, token } from "./store";
 import { labelled } from "./viewer";
@@ -28,6 +29,27 @@ const OVERLAYS: { key: Overlay; text: string }[] = [
   { key: "disparity", text: "Disparity" },
 ];
 
+/** Colours over grey images: with all of them, no two are only told apart by red and green. */
+const DETECTED = "#ffffff";
+const UNMATCHED = "#ffb000";
+const PROBABLE: Rgb = [255, 140, 26];
+const MATCH = "#ffd75e";
+const [NEARER, FARTHER] = ["#6fb7f0", "#f1a340"];
+/** What an overlay shows, with the colour that means it; curves have the colour bar. */
+const KEYS: Record<Overlay, { colour: string; text: string }[]> = {
+  curves: [],
+  lines: [
+    { colour: DETECTED, text: "detected in this image" },
+    { colour: UNMATCHED, text: "without a match" },
+  ],
+  probability: [{ colour: css(PROBABLE), text: "line probability" }],
+  matches: [{ colour: MATCH, text: "point matches of the rectification" }],
+  disparity: [
+    { colour: NEARER, text: "disparity below zero, at its length" },
+    { colour: FARTHER, text: "above zero" },
+  ],
+};
+
 /** Curves of one colour: lines that were measured, and those that were not. */
 interface Shade {
   colour: string;
@@ -45,6 +67,7 @@ export class Images {
   private opacity = 0.9;
   private readonly panels: Panel[];
   private readonly row: HTMLElement;
+  private readonly key = h("div", { class: "key" });
   private readonly readout = h("div", { class: "readout", role: "status" });
   /** Row and column under the pointer, rectified px. */
   private pointer: { x: number; y: number } | null = null;
@@ -57,8 +80,10 @@ export class Images {
     this.model = store.model;
     this.panels = [0, 1].map((side) => new Panel(this, store, side));
     this.row = h("div", { class: "panels" }, ...this.panels.map((panel) => panel.element));
-    this.element = h("div", { class: "images" }, this.toolbar(), this.row, this.readout);
+    this.element = h("div", { class: "images" }, this.toolbar(), this.row, h("div", { class: "below" }, this.readout, this.key));
+    this.showKey();
     store.on(["colour"], () => {
+      this.showKey();
       this.panels.forEach((panel) => panel.recolour());
       this.redraw();
     });
@@ -86,6 +111,7 @@ export class Images {
     const ticks = OVERLAYS.map(({ key, text }) =>
       tick(text, this.shown[key], (checked) => {
         this.shown[key] = checked;
+        this.showKey();
         this.redraw();
       }),
     );
@@ -108,6 +134,19 @@ export class Images {
       h("div", { class: "ticks" }, ...ticks),
       h("div", { class: "labelled" }, h("label", { class: "label", for: "opacity" }, "Opacity"), slider),
     );
+  }
+
+  /** What the colours mean. */
+  private showKey(): void {
+    const parts: Node[] = OVERLAYS.filter(({ key }) => this.shown[key]).flatMap(({ key }) =>
+      KEYS[key].map(({ colour, text }) => {
+        const line = s("line", { x1: 1, x2: 19, y1: 5, y2: 5, "stroke-width": 3, stroke: colour });
+        const sample = s("svg", { width: 20, height: 10, "aria-hidden": "true" }, s("rect", { width: 20, height: 10, rx: 2, fill: "#565b61" }), line);
+        return h("span", { class: "sample" }, sample, text);
+      }),
+    );
+    if (this.shown.curves) parts.push(colourStrip(this.store));
+    this.key.replaceChildren(...parts);
   }
 
   private setLayout(layout: Layout): void {
@@ -192,6 +231,25 @@ export class Images {
     const text = `curve ${hover.curve}: disparity ${this.model.disparity[hover.point].toFixed(2)} ± ${this.model.sigmaDisparity[hover.point].toFixed(2)} px, z ${z.toFixed(1)} ± ${this.model.sigmaZ[hover.point].toFixed(1)} ${this.model.unit}`;
     this.readout.textContent = `${place}; ${text.replace(/-(\d)/g, "\u2212$1")}`;
   }
+}
+
+/** The colours of the curves along a line, with their ends in figures. */
+function colourStrip({ scale }: Store): HTMLElement {
+  if (scale.classes) {
+    const samples = scale.classes.map(({ colour, text }) =>
+      h("span", { class: "sample" }, s("svg", { width: 20, height: 10, "aria-hidden": "true" }, s("rect", { width: 20, height: 10, rx: 2, fill: css(colour) })), text),
+    );
+    return h("span", { class: "sample" }, ...samples);
+  }
+  const [width, count] = [130, 40];
+  const x = (value: number) => (width * (value - scale.low)) / (scale.high - scale.low);
+  const bar = Array.from({ length: count }, (_, k) => {
+    const colour = scale.colour(scale.low + ((k + 0.5) / count) * (scale.high - scale.low));
+    return s("rect", { x: (k * width) / count, y: 2, width: width / count + 0.5, height: 9, fill: css(colour) });
+  });
+  const marks = ticks(scale.low, scale.high, 3).map(({ value, text }) => s("text", { x: x(value), y: 23, "text-anchor": "middle" }, text));
+  const strip = s("svg", { width: width + 40, height: 26, viewBox: `-20 0 ${width + 40} 26`, role: "img", "aria-label": `Colour bar: ${scale.title}` }, ...bar, ...marks);
+  return h("span", { class: "sample" }, scale.title, strip);
 }
 
 /** One image. */
@@ -357,8 +415,8 @@ class Panel {
       context.stroke(path);
     };
     if (images.isShown("lines")) {
-      stroke(this.lines, "#ffffff", 1.2, 0.85);
-      stroke(this.unmatched, "#ffb000", 1.8);
+      stroke(this.lines, DETECTED, 1.2, 0.85);
+      stroke(this.unmatched, UNMATCHED, 1.8);
     }
     if (images.isShown("curves")) this.drawCurves(context, stroke, inverse);
     if (images.isShown("disparity")) this.drawDisparity(stroke);
@@ -389,14 +447,8 @@ class Panel {
       drawRing(context, width / 2 + (this.places[at] - x) * zoom, height / 2 + (this.places[at + 1] - y) * zoom);
     }
     if (this.side === 0 || images.layout === "blink") {
-      context.fillStyle = token("paper");
       const { frame } = store.model.report;
-      context.globalAlpha = 0.82;
-      context.beginPath();
-      context.roundRect(10, height - 44, 146, 34, 4);
-      context.fill();
-      context.globalAlpha = 1;
-      drawScaleBar(context, zoom / frame.pixel, frame.unit, 18, height - 16, 130);
+      drawScaleBar(context, zoom / frame.pixel, frame.unit, 20, height - 18, 130, token("paper"));
     }
   }
 
@@ -423,15 +475,15 @@ class Panel {
         path.lineTo(model.x[point] + model.disparity[point], model.y[point]);
       }
     }
-    stroke(towards, css(diverging(-1, "dark")), 1.6);
-    stroke(away, css(diverging(1, "dark")), 1.6);
+    stroke(towards, NEARER, 1.6);
+    stroke(away, FARTHER, 1.6);
   }
 
   private drawMatches(context: CanvasRenderingContext2D, inverse: number): void {
     const { x, y, disparity, row } = this.store.model.report.point_matches;
     context.globalAlpha = this.images.overlayOpacity;
     context.lineWidth = 1.4 * inverse;
-    context.strokeStyle = "#ffd75e";
+    context.strokeStyle = MATCH;
     context.beginPath();
     x.forEach((column, k) => {
       const [cx, cy] = [column + this.side * disparity[k], y[k] + this.side * row[k]];
@@ -454,7 +506,7 @@ class Panel {
       const pixels = context.getImageData(0, 0, columns, rows);
       for (let at = 0; at < pixels.data.length; at += 4) {
         const probability = pixels.data[at];
-        pixels.data.set([255, 140, 26, probability < 12 ? 0 : probability], at);
+        pixels.data.set([...PROBABLE, probability < 12 ? 0 : probability], at);
       }
       context.putImageData(pixels, 0, 0);
       this.images.redraw();

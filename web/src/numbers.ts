@@ -4,7 +4,7 @@ import { bars, histogram, map } from "./charts";
 import { type Scale, diverging, scaleOf } from "./colour";
 import { type Model, fileName, quantile } from "./data";
 import { h } from "./dom";
-import { degrees, digits, fixed, scientific, tickStep, unitText, withError } from "./format";
+import { degrees, digits, fixed, scientific, short, tickStep, unitText, withError } from "./format";
 import type { Store } from "./store";
 
 const BINS = 40;
@@ -39,7 +39,7 @@ export function keyFigures(model: Model): HTMLElement {
 /** The line under the title. */
 export function subtitle(model: Model): string {
   const { tilts_deg, frame, rectification } = model.report;
-  const pixel = frame.unit === "nm" ? `${digits(frame.pixel, 4)} nm per pixel` : "pixel size unknown, so lengths are in px";
+  const pixel = frame.unit === "nm" ? `${short(frame.pixel)} nm per pixel` : "pixel size unknown, so lengths are in px";
   return `Tilts ${degrees(tilts_deg[0])} and ${degrees(tilts_deg[1])} · ${pixel} · ${rectification.shape[1]} × ${rectification.shape[0]} px`;
 }
 
@@ -153,7 +153,7 @@ export function runRecord(model: Model): HTMLElement {
   const rows: [string, string][] = [
     ["Left", `${sources[0].path || "image in memory"}, tilt ${degrees(tilts_deg[0])}`],
     ["Right", `${sources[1].path || "image in memory"}, tilt ${degrees(tilts_deg[1])}`],
-    ["Pixel", frame.unit === "nm" ? `${digits(frame.pixel, 4)} nm, of the left image` : "unknown"],
+    ["Pixel", frame.unit === "nm" ? `${short(frame.pixel)} nm, of the left image` : "unknown"],
     ["Tilt axis", `${axis}, clockwise from the image's vertical`],
     ["Right to left", `turned by ${degrees(rectification.relative_rotation_deg, 3)}, magnified by ${fixed(rectification.relative_scale, 4)}`],
     ["Point matches", `${rectification.inliers} of ${rectification.matches} agree; rows to ${digits(rectification.rms_row_error_px, 2)} px rms`],

@@ -56,7 +56,7 @@ export function drawAxes(context: CanvasRenderingContext2D, projector: Projector
       widest = Math.max(widest, context.measureText(text).width);
     }
     // The name stands beyond the ticks' numbers at the middle of the edge, along it where it is steep.
-    const name = `${NAMES[axis]} (${model.unit})${axis === 2 ? ", away from viewer" : ""}`;
+    const name = `${NAMES[axis]} (${model.unit})${axis === 2 && length > 170 ? ", away from viewer" : ""}`;
     const reach = 14 + Math.abs(across[0]) * (widest + 8) + Math.abs(across[1]) * 16;
     context.save();
     context.translate((p[0] + q[0]) / 2 + reach * across[0], (p[1] + q[1]) / 2 + reach * across[1]);
@@ -71,13 +71,22 @@ export function drawAxes(context: CanvasRenderingContext2D, projector: Projector
 }
 
 /** A bar of a round length: in a parallel projection it holds everywhere in the plane of the screen. */
-export function drawScaleBar(context: CanvasRenderingContext2D, zoom: number, unit: string, x: number, y: number, maxPx: number): void {
+export function drawScaleBar(context: CanvasRenderingContext2D, zoom: number, unit: string, x: number, y: number, maxPx: number, ground = ""): void {
   const length = roundDown(maxPx / zoom);
   const width = length * zoom;
   const text = `${digits(length, 1)} ${unit}`;
   context.font = `600 ${LABEL_FONT}`;
   context.textAlign = "center";
   context.textBaseline = "bottom";
+  if (ground) {
+    const wide = Math.max(width, context.measureText(text).width) + 20;
+    context.fillStyle = ground;
+    context.globalAlpha = 0.84;
+    context.beginPath();
+    context.roundRect(x + width / 2 - wide / 2, y - 27, wide, 34, 4);
+    context.fill();
+    context.globalAlpha = 1;
+  }
   context.fillStyle = token("ink");
   context.fillRect(x, y - 3, width, 3);
   context.fillText(text, x + width / 2, y - 7);

@@ -65,7 +65,13 @@ export class Store {
   }
 }
 
+const tokens = new Map<string, string>();
+
 /** A colour of the page's style. */
 export function token(name: string): string {
-  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const { theme } = document.documentElement.dataset;
+  const key = `${theme} ${name}`;
+  const known = tokens.get(key) ?? getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  tokens.set(key, known);
+  return known;
 }

@@ -1,6 +1,6 @@
 // The curves as a table: the way to a curve for those who use no pointer, and its figures when it is selected.
 
-import { FLAG_TEXTS, type Model } from "./data";
+import { type Model } from "./data";
 import { h } from "./dom";
 import { digits, fixed } from "./format";
 import type { Store } from "./store";
@@ -34,7 +34,7 @@ function rowsOf(model: Model, curve: number): [string, string][] {
   const { unit, report } = model;
   const measures = report.measures.per_curve[curve];
   const { closed, ends, flags } = report.curves[curve];
-  const shares = FLAG_TEXTS.map((text, flag) => ({ text, share: [...flags].filter((digit) => Number(digit) === flag).length / flags.length }));
+  const shares = ["measured", "along the rows", "bridged"].map((text, flag) => ({ text, share: [...flags].filter((digit) => Number(digit) === flag).length / flags.length }));
   const rows: [string, string][] = [
     ["Length", `${digits(measures.length)} ${unit}`],
     ["Depth", `${fixed(measures.min_z, 1)} to ${fixed(measures.max_z, 1)} ${unit}`],
@@ -51,7 +51,7 @@ function rowsOf(model: Model, curve: number): [string, string][] {
     rows.push(["Out of the image", `${fixed(steep, 0)}°`]);
   }
   rows.push(["Ends", closed ? "closed" : ends.join(" and ")]);
-  rows.push(["Points", shares.filter(({ share }) => share > 0).map(({ text, share }) => `${text.toLowerCase()}: ${Math.round(100 * share)} %`).join("; ")]);
+  rows.push(["Points", shares.filter(({ share }) => share > 0).map(({ text, share }) => `${Math.round(100 * share)} % ${text}`).join(", ")]);
   return rows;
 }
 
@@ -61,11 +61,11 @@ export function table(store: Store): HTMLElement {
   const { unit, report } = model;
   const measures = report.measures.per_curve;
   let sorted: { key: Key; down: boolean } = { key: "curve", down: false };
-  const columns: { key: Key; text: string; value: (curve: number) => number; show: (curve: number) => string }[] = [
+  const columns: { key: Key; text: string; unit?: string; value: (curve: number) => number; show: (curve: number) => string }[] = [
     { key: "curve", text: "Curve", value: (c) => c, show: String },
-    { key: "length", text: `Length (${unit})`, value: (c) => measures[c].length, show: (c) => digits(measures[c].length) },
-    { key: "min_z", text: `Depth (${unit})`, value: (c) => measures[c].min_z, show: (c) => `${fixed(measures[c].min_z, 0)} to ${fixed(measures[c].max_z, 0)}` },
-    { key: "sigma_z", text: `Sigma (${unit})`, value: (c) => measures[c].sigma_z, show: (c) => digits(measures[c].sigma_z, 2) },
+    { key: "length", text: "Length", unit, value: (c) => measures[c].length, show: (c) => digits(measures[c].length) },
+    { key: "min_z", text: "Depth", unit, value: (c) => measures[c].min_z, show: (c) => `${fixed(measures[c].min_z, 0)} to ${fixed(measures[c].max_z, 0)}` },
+    { key: "sigma_z", text: "Sigma", unit, value: (c) => measures[c].sigma_z, show: (c) => digits(measures[c].sigma_z, 2) },
   ];
   const rows = measures.map((_, curve) => {
     const [first, ...others] = columns.map((column) => column.show(curve));
@@ -77,7 +77,7 @@ export function table(store: Store): HTMLElement {
     return row;
   });
   const body = h("tbody", {}, ...rows);
-  const headings = columns.map(({ key, text }) => {
+  const headings = columns.map(({ key, text, unit }) => {
     const sort = () => {
       sorted = { key, down: sorted.key === key ? !sorted.down : key === "length" };
       const { value } = columns.find((column) => column.key === key)!;
@@ -87,7 +87,7 @@ export function table(store: Store): HTMLElement {
         heading.setAttribute("aria-sort", columns[k].key !== key ? "none" : sorted.down ? "descending" : "ascending");
       });
     };
-    return h("th", { scope: "col", "aria-sort": key === "curve" ? "ascending" : "none" }, h("button", { type: "button", onclick: sort }, text));
+    return h("th", { scope: "col", "aria-sort": key === "curve" ? "ascending" : "none" }, h("button", { type: "button", onclick: sort }, text, unit ? h("span", { class: "unit" }, ` ${unit}`) : null));
   });
   const element = h("div", { class: "table", tabindex: 0, role: "region", "aria-label": "All curves" }, h("table", {}, h("thead", {}, h("tr", {}, ...headings)), body));
   store.on(["selection"], () => {

@@ -16,6 +16,8 @@ const RADIAN = Math.PI / 180;
 const REACH_PX = { mouse: 8, touch: 20 };
 /** Turn between the eyes, degrees: that of the pair, but not so small that depth is lost nor so large that it hurts. */
 const EYES_DEG = [3, 8];
+/** Room for the colour bar at the right. */
+const LEGEND_PX = 96;
 /** Time for the tilt to go forth and back, ms. */
 const ROCK_MS = 4000;
 
@@ -183,7 +185,7 @@ export class Viewer {
   private showOrientation = () => {};
 
   orient(orientation: Orientation): void {
-    Object.assign(this.pose, ORIENTATIONS[orientation], { panX: 0, panY: 0 });
+    Object.assign(this.pose, ORIENTATIONS[orientation]);
     this.orientation = orientation;
     this.fit();
     this.moved();
@@ -200,8 +202,10 @@ export class Viewer {
   private fit(): void {
     this.fitted = true;
     if (this.width === 0) return;
-    const width = this.look.stereo === "pair" ? this.width / 2 : this.width;
-    this.pose.zoom = fittingZoom({ ...this.pose, tilt: 0 }, this.box, width, this.height);
+    const pair = this.look.stereo === "pair";
+    const legend = pair ? 0 : LEGEND_PX;
+    this.pose.zoom = fittingZoom({ ...this.pose, tilt: 0 }, this.box, this.viewWidth() - legend, this.height);
+    Object.assign(this.pose, { panX: -legend / 2, panY: 0 });
   }
 
   private resized(): void {

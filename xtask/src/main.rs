@@ -1,4 +1,4 @@
-//! The project's own chores: `cargo xtask ci|test|reference|accuracy|real|weights|figures|example`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|real|weights|figures|example|web`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod accuracy;
@@ -9,6 +9,7 @@ mod npy;
 mod real;
 mod reference;
 mod venv;
+mod web;
 mod weights;
 
 use miette::{Result, miette};
@@ -21,7 +22,8 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   real [IMAGES]         the detector on real images labelled by hand (xtask/labels)
   weights               trains the shipped networks again (hours; goes on where it was stopped)
   figures               draws the pictures of docs/simulator.md again
-  example               renders the example pair in examples/ again";
+  example               renders the example pair in examples/ again
+  web [--check|--test]  builds the report's page from web/; checks that the committed one is what it builds; tests it in Chromium";
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -33,6 +35,7 @@ fn main() -> Result<()> {
         Some("real") => real::measure(&arguments[1..]),
         Some("weights") => weights::train(),
         Some("figures") => figures::draw(),
+        Some("web") => web::run(&arguments[1..]),
         Some("example") => example::render_pair(),
         _ => Err(miette!("{USAGE}")),
     }

@@ -39,7 +39,9 @@ const MEASURE_DIGITS: usize = 6;
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A picture is too large for JPEG.
-    #[error("the rectified image has {columns} x {rows} px, and a JPEG image has 65535 at most along a side; crop the input")]
+    #[error(
+        "the rectified image has {columns} x {rows} px, and a JPEG image has 65535 at most along a side; crop the input"
+    )]
     TooLarge {
         /// Columns of the rectified grid.
         columns: usize,
@@ -53,10 +55,15 @@ pub enum ReportError {
     #[error("the data of the report cannot be read or written: {0}; reconstruct the pair again")]
     Json(#[from] serde_json::Error),
     /// There is no report in a text.
-    #[error("this is not a report: it has no <script id=\"{}\">; name a folder or report.html that `tiltline reconstruct` wrote", page::DATA_ID)]
+    #[error(
+        "this is not a report: it has no <script id=\"{}\">; name a folder or report.html that `tiltline reconstruct` wrote",
+        page::DATA_ID
+    )]
     NoData,
     /// The report is of another time.
-    #[error("the report has format version {found}, and this program reads {FORMAT_VERSION}: reconstruct the pair again")]
+    #[error(
+        "the report has format version {found}, and this program reads {FORMAT_VERSION}: reconstruct the pair again"
+    )]
     Version {
         /// Its version.
         found: u32,
@@ -229,9 +236,8 @@ fn view(result: &Reconstruction, view: View) -> Result<ReportView, ReportError> 
         .collect();
     let unmatched = result.unmatched.iter().filter(|line| line.view == view);
     let unmatched: Vec<Vec<Point2>> = unmatched.map(|line| rectified(&line.points_input)).collect();
-    let length = |lines: &[Vec<Point2>]| {
-        rounded(lines.iter().map(|line| crate::geometry::length2(line)).sum(), LINE_DECIMALS)
-    };
+    let length =
+        |lines: &[Vec<Point2>]| rounded(lines.iter().map(|line| crate::geometry::length2(line)).sum(), LINE_DECIMALS);
     let (image, probability) = rayon::join(
         || Picture::encode(result.rectified.view(view)),
         || Picture::encode(&result.lines[view.index()].probability),

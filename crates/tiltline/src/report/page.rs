@@ -57,7 +57,8 @@ pub fn title(report: &Report) -> String {
 }
 
 fn split<'a>(text: &'a str, at: &str) -> [&'a str; 2] {
-    let (before, after) = text.split_once(at).expect("the built page has both placeholders, which a test makes sure of");
+    let (before, after) =
+        text.split_once(at).expect("the built page has both placeholders, which a test makes sure of");
     [before, after]
 }
 
