@@ -31,7 +31,7 @@ interface Axes {
   y: (value: number) => number;
 }
 
-function axes(label: string, xRange: [number, number], yRange: [number, number], xTitle: string, yTitle: string, height: number): Axes {
+function axes(label: string, xRange: [number, number], yRange: [number, number], xTitle: string, yTitle: string, height: number, field: [number, number] | null = null): Axes {
   const [right, bottom] = [WIDTH - MARGIN.right, height - MARGIN.bottom];
   const x = (value: number) => MARGIN.left + ((right - MARGIN.left) * (value - xRange[0])) / (xRange[1] - xRange[0] || 1);
   const y = (value: number) => bottom + ((MARGIN.top - bottom) * (value - yRange[0])) / (yRange[1] - yRange[0] || 1);
@@ -40,16 +40,16 @@ function axes(label: string, xRange: [number, number], yRange: [number, number],
     "svg",
     { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": label, class: "chart" },
     ...ticks(yLow, yHigh, 4).flatMap(({ value, text }) => [
-      s("line", { x1: MARGIN.left, x2: right, y1: y(value), y2: y(value), class: "grid" }),
-      s("text", { x: MARGIN.left - 8, y: y(value), dy: "0.35em", "text-anchor": "end" }, text),
+      !field && s("line", { x1: MARGIN.left, x2: right, y1: y(value), y2: y(value), class: "grid" }),
+      s("text", { x: (field ? x(field[0]) : MARGIN.left) - 8, y: y(value), dy: "0.35em", "text-anchor": "end" }, text),
     ]),
-    ...ticks(xRange[0], xRange[1], 7).flatMap(({ value, text }) => [
+    ...ticks(...(field ?? xRange), 7).flatMap(({ value, text }) => [
       s("line", { x1: x(value), x2: x(value), y1: bottom, y2: bottom + 5, class: "axis" }),
       s("text", { x: x(value), y: bottom + 18, "text-anchor": "middle" }, text),
     ]),
-    s("line", { x1: MARGIN.left, x2: right, y1: bottom, y2: bottom, class: "axis" }),
+    !field && s("line", { x1: MARGIN.left, x2: right, y1: bottom, y2: bottom, class: "axis" }),
     s("text", { x: (MARGIN.left + right) / 2, y: height - 6, "text-anchor": "middle", class: "axis-title" }, xTitle),
-    s("text", { transform: `translate(14 ${(MARGIN.top + bottom) / 2}) rotate(-90)`, "text-anchor": "middle", class: "axis-title" }, yTitle),
+    s("text", { transform: `translate(${(field ? x(field[0]) : MARGIN.left) - 42} ${(MARGIN.top + bottom) / 2}) rotate(-90)`, "text-anchor": "middle", class: "axis-title" }, yTitle),
   );
   return { plot, x, y };
 }
@@ -88,7 +88,7 @@ export function map(label: string, points: { x: number; y: number; colour: Rgb; 
   // Both axes at one scale.
   const scale = (height - MARGIN.top - MARGIN.bottom) / rows;
   const spare = (inner / scale - columns) / 2;
-  const { plot, x, y } = axes(label, [-spare, columns + spare], [rows, 0], "column (px)", "row (px)", height);
+  const { plot, x, y } = axes(label, [-spare, columns + spare], [rows, 0], "column (px)", "row (px)", height, [0, columns]);
   plot.insertBefore(s("rect", { x: x(0), y: y(0), width: x(columns) - x(0), height: y(rows) - y(0), class: "field" }), plot.firstChild);
   for (const point of points) {
     plot.append(s("circle", { cx: x(point.x), cy: y(point.y), r: 3, fill: css(point.colour) }, s("title", {}, point.text)));

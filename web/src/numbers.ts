@@ -55,7 +55,8 @@ export function caveat(model: Model): string {
 export function warnings(model: Model): HTMLElement | null {
   const found = model.report.warnings;
   if (found.length === 0) return null;
-  const sentence = (text: string) => text.charAt(0).toUpperCase() + text.slice(1) + (text.endsWith(".") ? "" : ".");
+  // As a sentence.
+  const sentence = (text: string) => text.charAt(0).toUpperCase() + text.slice(1).replaceAll(" +- ", " ± ") + (text.endsWith(".") ? "" : ".");
   return h(
     "details",
     { class: "warnings", open: true },

@@ -16,6 +16,8 @@ export interface Pose {
   yaw: number;
   /** Turn about the screen's horizontal, rad. */
   pitch: number;
+  /** Last turn, about the screen's vertical: that of an eye. Rows stay rows, as eyes need it. */
+  eye?: number;
   /** Screen px per unit. */
   zoom: number;
   /** Place of the middle of the box on the screen, px from its centre. */
@@ -33,13 +35,16 @@ export const ORIENTATIONS: Record<Orientation, { yaw: number; pitch: number }> =
 };
 
 /** Rows of the rotation: screen right, screen down, away from the viewer. */
-export function rotation({ tilt, yaw, pitch }: Pose): [Vector, Vector, Vector] {
+export function rotation({ tilt, yaw, pitch, eye = 0 }: Pose): [Vector, Vector, Vector] {
   const [c, s] = [Math.cos(tilt + yaw), Math.sin(tilt + yaw)];
   const [cp, sp] = [Math.cos(pitch), Math.sin(pitch)];
+  const right: Vector = [c, 0, s];
+  const away: Vector = [-s * cp, sp, c * cp];
+  const [ce, se] = [Math.cos(eye), Math.sin(eye)];
   return [
-    [c, 0, s],
+    right.map((value, axis) => ce * value + se * away[axis]) as Vector,
     [s * sp, cp, -c * sp],
-    [-s * cp, sp, c * cp],
+    away.map((value, axis) => ce * value - se * right[axis]) as Vector,
   ];
 }
 

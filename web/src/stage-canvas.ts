@@ -50,7 +50,7 @@ export class CanvasStage implements Stage {
       context.rect((index * width) / 2, 0, width / 2, height);
       context.clip();
       context.translate((index * width) / 2, 0);
-      this.view(context, { ...pose, yaw: pose.yaw + side * look.eyeAngle }, look, width / 2, height);
+      this.view(context, { ...pose, eye: side * look.eyeAngle }, look, width / 2, height);
       context.restore();
     });
   }

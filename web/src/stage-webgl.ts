@@ -210,7 +210,7 @@ export class WebglStage implements Stage {
       renderer.clear();
       renderer.render(this.scene, camera);
     };
-    const eye = (side: number): Pose => ({ ...pose, yaw: pose.yaw + side * look.eyeAngle });
+    const eye = (side: number): Pose => ({ ...pose, eye: side * look.eyeAngle });
     if (look.stereo === "pair") {
       renderer.setScissorTest(true);
       [-1, 1].forEach((side, index) => {

@@ -106,6 +106,8 @@ export class Viewer {
       (value) => {
         look.stereo = value;
         stereo.show(value);
+        // Glasses take the colours away, and a pair needs the room.
+        this.legend.hidden = value !== "off";
         if (this.fitted) this.fit();
         this.redraw();
       },
