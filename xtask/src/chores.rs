@@ -5,6 +5,7 @@ use std::process::Command;
 use miette::{IntoDiagnostic, Result, miette};
 
 use crate::venv::root;
+use crate::web;
 
 /// Everything CI checks, quickest first.
 pub fn ci() -> Result<()> {
@@ -20,7 +21,8 @@ pub fn ci() -> Result<()> {
     } else {
         println!("cargo-deny is not installed: licences and bans of dependencies were not checked");
     }
-    test()
+    test()?;
+    web::ci()
 }
 
 /// The README's test command.

@@ -1,4 +1,4 @@
-//! The project's own chores: `cargo xtask ci|test|reference|accuracy|ablation|real|speed|weights|figures|example`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|ablation|real|speed|weights|figures|example|web`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod ablation;
@@ -11,6 +11,7 @@ mod real;
 mod reference;
 mod speed;
 mod venv;
+mod web;
 mod weights;
 
 use miette::{Result, miette};
@@ -25,7 +26,8 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   speed                 time and memory of `tiltline reconstruct` from 512 to 4096 px
   weights               trains the shipped networks again (hours; goes on where it was stopped)
   figures               draws the pictures of docs/simulator.md again
-  example               renders the example pair in examples/ again";
+  example               renders the example pair in examples/ again
+  web [--check|--test]  builds the report's page from web/; checks that the committed one is what it builds; tests it in Chromium";
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -39,6 +41,7 @@ fn main() -> Result<()> {
         Some("speed") => speed::measure(),
         Some("weights") => weights::train(),
         Some("figures") => figures::draw(),
+        Some("web") => web::run(&arguments[1..]),
         Some("example") => example::render_pair(),
         _ => Err(miette!("{USAGE}")),
     }

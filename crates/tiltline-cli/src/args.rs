@@ -33,6 +33,10 @@ pub enum Command {
     Dataset(crate::dataset::DatasetArgs),
     /// Train networks on simulated foils or on labelled images.
     Train(Box<crate::train::Train>),
+    /// Open the report of a result in the browser.
+    View(View),
+    /// Make the report of a result again, and its figures for print.
+    Report(Report),
     /// Say what is in a micrograph or series: size, type, pixel size, tilts, range, warnings.
     Info(Info),
     /// Print a completion script for a shell.
@@ -40,6 +44,23 @@ pub enum Command {
         /// The shell.
         shell: Shell,
     },
+}
+
+/// Flags of `tiltline view`.
+#[derive(Debug, Args)]
+pub struct View {
+    /// Folder that `tiltline reconstruct` wrote, or a report.html.
+    pub result: PathBuf,
+}
+
+/// Flags of `tiltline report`.
+#[derive(Debug, Args)]
+pub struct Report {
+    /// Folder that `tiltline reconstruct` wrote, or a report.html.
+    pub result: PathBuf,
+    /// Draw the figures for print too: figures/NAME.svg and .png (300 dpi) beside the report.
+    #[arg(long)]
+    pub png: bool,
 }
 
 /// Flags of `tiltline reconstruct`.

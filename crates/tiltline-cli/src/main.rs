@@ -12,10 +12,12 @@ mod output;
 mod progress;
 mod quantity;
 mod reconstruct;
+mod report;
 mod score;
 mod simulate;
 mod summary;
 mod train;
+mod view;
 
 use std::process::ExitCode;
 
@@ -42,6 +44,8 @@ fn run(cli: Cli) -> Result<()> {
         Command::Bench(flags) => bench::run(&flags),
         Command::Dataset(flags) => dataset::run(&flags),
         Command::Train(flags) => train::run(&flags),
+        Command::View(flags) => view::run(&flags),
+        Command::Report(flags) => report::run(&flags),
         Command::Info(flags) => info::run(&flags),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -16,6 +16,7 @@ use tiltline::pipeline;
 use tiltline::progress::{Event, Stage};
 use tiltline::rectify::{Rectification, rectify_known};
 use tiltline::refine::Refinement;
+use tiltline::report::{Report, page};
 use tiltline::ridge::LinePolarity;
 use tiltline::warning::Warning;
 
@@ -82,8 +83,12 @@ pub fn reconstruct(
         right,
         seconds: seconds.lock().expect("no thread panics while it holds the lock").clone(),
     };
-    let extra = [("run.toml", run_toml(config, &record)?.into_bytes())];
-    timed(&progress, Stage::Export, || interrupt::write_all(&result, &extra, output, force))?;
+    timed(&progress, Stage::Export, || {
+        let run = run_toml(config, &record)?;
+        let report = Report::new(&result, &run).and_then(|report| page::write(&report)).into_diagnostic()?;
+        let extra = [("report.html", report.into_bytes()), ("run.toml", run.into_bytes())];
+        interrupt::write_all(&result, &extra, output, force)
+    })?;
     Ok(Summary::of(&result, provenance))
 }
 

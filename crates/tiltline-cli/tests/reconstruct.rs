@@ -29,7 +29,7 @@ fn stderr(command: &mut Command, code: i32) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-const OUTPUTS: [&str; 16] = [
+const OUTPUTS: [&str; 17] = [
     "curves.csv",
     "curves.data",
     "curves.json",
@@ -44,6 +44,7 @@ const OUTPUTS: [&str; 16] = [
     "overlay.png",
     "rectified_left.tif",
     "rectified_right.tif",
+    "report.html",
     "run.toml",
     "sigma.tif",
 ];

@@ -26,6 +26,7 @@ pub mod progress;
 pub mod reconstruction;
 pub mod rectify;
 pub mod refine;
+pub mod report;
 pub mod ridge;
 pub mod score;
 pub mod settings;

@@ -175,6 +175,7 @@ impl Rectification {
             relative_scale: rectified_from_left.scaling() / rectified_from_right.scaling(),
             right_from_left: rectified_from_right.inverse() * rectified_from_left,
             disparity_range_px: [0.0, 0.0],
+            points: Vec::new(),
         }
     }
 

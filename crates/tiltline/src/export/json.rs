@@ -95,7 +95,7 @@ fn list<T: Serialize>(out: &mut (impl Write + ?Sized), name: &str, items: impl I
 }
 
 /// A value with its numbers rounded to so many digits that count.
-fn significant(value: Value, digits: usize) -> Value {
+pub(crate) fn significant(value: Value, digits: usize) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => {
             let value = number.as_f64().filter(|value| value.abs() > NOUGHT).unwrap_or(0.0);

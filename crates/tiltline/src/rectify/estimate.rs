@@ -78,6 +78,7 @@ pub fn estimate(
         relative_scale: geometry.relative_scale,
         right_from_left: geometry.right_from_left,
         disparity_range_px: [at(0.01), at(0.99)],
+        points: geometry.inliers,
     };
     if grid.left_only {
         warn(format!(

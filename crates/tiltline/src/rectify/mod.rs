@@ -114,6 +114,19 @@ pub struct Rectification {
     pub right_from_left: Similarity2,
     /// Disparities of the inliers, 1 and 99 percentile, in rectified px; their median is zero.
     pub disparity_range_px: [f64; 2],
+    /// The inliers, in input px, for the report; `curves.json` has their number only.
+    #[serde(skip)]
+    pub points: Vec<PointMatch>,
+}
+
+impl Rectification {
+    /// The map of one view: its input px to rectified px.
+    pub fn rectified_from(&self, view: View) -> &Similarity2 {
+        match view {
+            View::Left => &self.rectified_from_left,
+            View::Right => &self.rectified_from_right,
+        }
+    }
 }
 
 /// Both images on a common grid whose rows are epipolar lines.

@@ -365,25 +365,25 @@ fn draw_legend(canvas: &mut Canvas, layout: &Layout) {
 }
 
 /// The largest of 1, 2, 5 times a power of ten that is not above a positive value.
-fn round_down(value: f64) -> f64 {
+pub(crate) fn round_down(value: f64) -> f64 {
     let power = 10.0_f64.powf(value.log10().floor());
     let factor = [5.0, 2.0, 1.0].into_iter().find(|factor| factor * power <= value * (1.0 + 1e-9));
     factor.unwrap_or(1.0) * power
 }
 
 /// A round distance between ticks that puts three to eight of them on a range.
-fn tick_step(range: f64) -> f64 {
+pub(crate) fn tick_step(range: f64) -> f64 {
     round_down(range / 3.0)
 }
 
 /// A positive value with two digits that count.
-fn two_digits(value: f64) -> String {
+pub(crate) fn two_digits(value: f64) -> String {
     let decimals = if value > 0.0 { (1.0 - value.log10().floor()).clamp(0.0, 9.0) as usize } else { 1 };
     format!("{value:.decimals$}")
 }
 
 /// A round number as short as it can be; a minus sign stays with its number.
-fn number(value: f64) -> String {
+pub(crate) fn number(value: f64) -> String {
     let rounded = format!("{value:.9}").parse().unwrap_or(value) + 0.0;
     format!("{rounded}")
 }
