@@ -1,4 +1,4 @@
-//! The project's own chores: `cargo xtask ci|test|reference|accuracy|real|weights|figures|example`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|tomography|real|weights|figures|example`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod accuracy;
@@ -8,6 +8,7 @@ mod figures;
 mod npy;
 mod real;
 mod reference;
+mod tomography;
 mod venv;
 mod weights;
 
@@ -18,6 +19,7 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   test                  the tests
   reference [TOPIC...]  comparisons with independent implementations (needs Python)
   accuracy              scores the program on the fixed sets: docs/accuracy.md
+  tomography            WBP and SIRT against the number of views, on the series of bench-series
   real [IMAGES]         the detector on real images labelled by hand (xtask/labels)
   weights               trains the shipped networks again (hours; goes on where it was stopped)
   figures               draws the pictures of docs/simulator.md again
@@ -30,6 +32,7 @@ fn main() -> Result<()> {
         Some("test") => chores::test(),
         Some("reference") => reference::run(&arguments[1..]),
         Some("accuracy") => accuracy::measure(),
+        Some("tomography") => tomography::measure(&arguments[1..]),
         Some("real") => real::measure(&arguments[1..]),
         Some("weights") => weights::train(),
         Some("figures") => figures::draw(),

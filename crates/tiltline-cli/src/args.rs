@@ -33,6 +33,8 @@ pub enum Command {
     Dataset(crate::dataset::DatasetArgs),
     /// Train networks on simulated foils or on labelled images.
     Train(Box<crate::train::Train>),
+    /// Make a tomogram of a tilt series.
+    Tomography(Box<crate::tomography::Tomography>),
     /// Say what is in a micrograph or series: size, type, pixel size, tilts, range, warnings.
     Info(Info),
     /// Print a completion script for a shell.

@@ -15,6 +15,7 @@ mod reconstruct;
 mod score;
 mod simulate;
 mod summary;
+mod tomography;
 mod train;
 
 use std::process::ExitCode;
@@ -42,6 +43,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Bench(flags) => bench::run(&flags),
         Command::Dataset(flags) => dataset::run(&flags),
         Command::Train(flags) => train::run(&flags),
+        Command::Tomography(flags) => tomography::run(&flags),
         Command::Info(flags) => info::run(&flags),
         Command::Completions { shell } => {
             let mut script = Vec::new();
