@@ -111,8 +111,8 @@ pub fn run(venv: &Venv) -> Result<()> {
             let number = |key: &str| found[key].as_f64().unwrap_or(f64::NAN);
             let [difference, ours, theirs] = ["difference", "ours_from_truth", "theirs_from_truth"].map(number);
             println!("{:34} {difference:12.4} {ours:12.4} {theirs:12.4}", format!("{name}, {method}"));
-            // Projectors differ in how they blur a voxel, by a fraction of a px: at edges.
-            if !(difference < 0.12 && ours < 1.1 * theirs) {
+            // ASTRA's strips are our shadows but for their shape, its linear kernel blurs a little less: 0.002 to 0.009.
+            if !(difference < 0.02 && ours < 1.05 * theirs) {
                 faults.push(format!("{name}, {method}: {found}"));
             }
         }
