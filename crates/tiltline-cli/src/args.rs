@@ -37,6 +37,8 @@ pub enum Command {
     View(View),
     /// Make the report of a result again, and its figures for print.
     Report(Report),
+    /// Make a tomogram of a tilt series.
+    Tomography(Box<crate::tomography::Tomography>),
     /// Say what is in a micrograph or series: size, type, pixel size, tilts, range, warnings.
     Info(Info),
     /// Print a completion script for a shell.

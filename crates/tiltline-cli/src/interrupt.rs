@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use miette::{IntoDiagnostic, Result};
+use miette::{IntoDiagnostic, Result, miette};
 use tiltline::export::{self, Staging};
 use tiltline::reconstruction::Reconstruction;
 
@@ -16,6 +16,8 @@ enum Writing {
     NotBegun,
     /// Files are being written to this temporary folder.
     Filling(PathBuf),
+    /// One file is being written under this temporary name.
+    FillingFile(PathBuf),
     /// They are in their place.
     Done,
 }
@@ -56,6 +58,11 @@ pub fn install() -> Result<()> {
         let writing = WRITING.lock();
         let message = match writing.as_deref() {
             Ok(Writing::Done) => "interrupted; the results had been written",
+            Ok(Writing::FillingFile(file)) => {
+                // Nothing better can be done where that fails.
+                let _ = std::fs::remove_file(file);
+                "interrupted; nothing was written"
+            }
             Ok(Writing::Filling(folder)) => {
                 for _ in 0..REMOVALS {
                     if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
@@ -72,6 +79,20 @@ pub fn install() -> Result<()> {
         std::process::exit(INTERRUPTED);
     })
     .into_diagnostic()
+}
+
+/// Fills a new file by `fill` and puts it in place when it is complete; its temporary name is known to the handler.
+pub fn write_file(path: &Path, fill: impl FnOnce(&mut std::fs::File) -> Result<()>) -> Result<()> {
+    let lock = || WRITING.lock().expect("no thread panics while it holds the lock");
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = tiltline::temporary::file_in(folder, ".tiltline-")
+        .map_err(|error| miette!("cannot write to {}: {error}; name another output file", folder.display()))?;
+    *lock() = Writing::FillingFile(file.path().to_owned());
+    fill(file.as_file_mut())?;
+    let mut writing = lock();
+    file.persist(path).map_err(|error| miette!("cannot put {} in its place: {}", path.display(), error.error))?;
+    *writing = Writing::Done;
+    Ok(())
 }
 
 /// [`export::write_all`], with its temporary folder known to the handler while it is being filled.

@@ -16,6 +16,7 @@ mod report;
 mod score;
 mod simulate;
 mod summary;
+mod tomography;
 mod train;
 mod view;
 
@@ -46,6 +47,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Train(flags) => train::run(&flags),
         Command::View(flags) => view::run(&flags),
         Command::Report(flags) => report::run(&flags),
+        Command::Tomography(flags) => tomography::run(&flags),
         Command::Info(flags) => info::run(&flags),
         Command::Completions { shell } => {
             let mut script = Vec::new();

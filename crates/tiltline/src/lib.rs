@@ -32,6 +32,7 @@ pub mod score;
 pub mod settings;
 pub mod simulate;
 pub mod temporary;
+pub mod tomography;
 pub mod trace;
 pub mod triangulate;
 pub mod truth;

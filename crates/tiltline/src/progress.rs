@@ -24,10 +24,12 @@ pub enum Stage {
     Measure,
     /// Writing the results.
     Export,
+    /// Making a tomogram; not a stage of the pipeline.
+    Tomogram,
 }
 
 impl Stage {
-    /// Every stage in the order they run.
+    /// Every stage of the pipeline in the order they run.
     pub const ALL: [Stage; 9] = [
         Stage::Read,
         Stage::Rectify,
@@ -52,6 +54,7 @@ impl Stage {
             Stage::Triangulate => "triangulate",
             Stage::Measure => "measure",
             Stage::Export => "export",
+            Stage::Tomogram => "tomogram",
         }
     }
 }
@@ -69,6 +72,8 @@ pub enum Event {
     Started(Stage),
     /// A stage ended, after so many seconds.
     Finished(Stage, f64),
+    /// So many of so many like parts of a stage are done.
+    Advanced(Stage, usize, usize),
 }
 
 /// Where events go; `&|_| ()` for nowhere.

@@ -6,6 +6,7 @@ mod readers;
 mod sgbm;
 mod sgbm_sets;
 mod sift;
+mod tomography;
 mod trace;
 
 use miette::{Result, miette};
@@ -22,6 +23,7 @@ const TOPICS: &[Topic] = &[
     ("sgbm", sgbm::run),
     ("sgbm-sets", sgbm_sets::run),
     ("sift", sift::run),
+    ("tomography", tomography::run),
     ("trace", trace::run),
 ];
 

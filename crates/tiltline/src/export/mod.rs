@@ -5,6 +5,7 @@ pub mod csv;
 pub mod graph;
 pub mod json;
 pub mod mrc;
+pub mod mrc_volume;
 pub mod number;
 pub mod obj;
 pub mod overlay;

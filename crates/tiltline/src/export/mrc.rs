@@ -8,7 +8,84 @@ use std::io::{self, Write};
 use ndarray::Array2;
 
 /// Length of the header.
-const HEADER_BYTES: usize = 1024;
+pub(super) const HEADER_BYTES: usize = 1024;
+
+/// What a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Images, 16-bit.
+    Stack,
+    /// A volume, 32-bit floats.
+    Volume,
+}
+
+/// What the header says about the values.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Statistics {
+    low: f64,
+    high: f64,
+    sum: f64,
+    squares: f64,
+    count: f64,
+}
+
+impl Default for Statistics {
+    fn default() -> Self {
+        Self { low: f64::INFINITY, high: f64::NEG_INFINITY, sum: 0.0, squares: 0.0, count: 0.0 }
+    }
+}
+
+impl Statistics {
+    pub(super) fn add(&mut self, value: f64) {
+        (self.low, self.high) = (self.low.min(value), self.high.max(value));
+        self.sum += value;
+        self.squares += value * value;
+        self.count += 1.0;
+    }
+
+    /// Least, largest, mean and standard deviation.
+    fn values(&self) -> [f32; 4] {
+        let mean = self.sum / self.count.max(1.0);
+        let deviation = (self.squares / self.count.max(1.0) - mean * mean).max(0.0).sqrt();
+        [self.low, self.high, mean, deviation].map(|value| value as f32)
+    }
+}
+
+/// A number of the header.
+pub(super) fn count(number: usize) -> io::Result<i32> {
+    i32::try_from(number).map_err(|_| io::Error::other(format!("{number} does not fit into an MRC file")))
+}
+
+/// The header of columns, rows and sections.
+pub(super) fn header(
+    [nx, ny, nz]: [i32; 3],
+    kind: Kind,
+    pixel_size_nm: Option<f64>,
+    statistics: &Statistics,
+) -> [u8; HEADER_BYTES] {
+    let mut header = [0_u8; HEADER_BYTES];
+    let mut put = |offset: usize, bytes: [u8; 4]| header[offset..offset + 4].copy_from_slice(&bytes);
+    // Mode, and the space group, which is 1 for a volume.
+    let (mode, group) = match kind {
+        Kind::Stack => (1, 0),
+        Kind::Volume => (2, 1),
+    };
+    let ints = [(0, nx), (4, ny), (8, nz), (12, mode), (28, nx), (32, ny), (36, nz)];
+    for (offset, value) in ints.into_iter().chain([(64, 1), (68, 2), (72, 3), (88, group), (108, 20141)]) {
+        put(offset, value.to_le_bytes());
+    }
+    // 1 Angstrom stands for an unknown pixel size.
+    let angstrom = pixel_size_nm.map_or(1.0, |size| 10.0 * size);
+    let cell = |count: i32| (f64::from(count) * angstrom) as f32;
+    let [low, high, mean, deviation] = statistics.values();
+    let floats = [(40, cell(nx)), (44, cell(ny)), (48, cell(nz)), (52, 90.0), (56, 90.0), (60, 90.0)];
+    for (offset, value) in floats.into_iter().chain([(76, low), (80, high), (84, mean), (216, deviation)]) {
+        put(offset, value.to_le_bytes());
+    }
+    put(208, *b"MAP ");
+    put(212, [0x44, 0x44, 0, 0]);
+    header
+}
 
 /// Writes sections `[row, column]` of one shape as a stack.
 pub fn write_stack(sections: &[Array2<i16>], pixel_size_nm: Option<f64>, out: &mut impl Write) -> io::Result<()> {
@@ -18,47 +95,10 @@ pub fn write_stack(sections: &[Array2<i16>], pixel_size_nm: Option<f64>, out: &m
         return Err(io::Error::other("the sections of a stack have one shape"));
     }
     let (rows, columns) = shape;
-    let count = |number: usize| {
-        i32::try_from(number).map_err(|_| io::Error::other(format!("{number} does not fit into an MRC file")))
-    };
-    let (nx, ny, nz) = (count(columns)?, count(rows)?, count(sections.len())?);
-    let mut header = [0_u8; HEADER_BYTES];
-    let mut put = |offset: usize, bytes: [u8; 4]| header[offset..offset + 4].copy_from_slice(&bytes);
-    let ints =
-        [(0, nx), (4, ny), (8, nz), (12, 1), (28, nx), (32, ny), (36, nz), (64, 1), (68, 2), (72, 3), (108, 20141)];
-    for (offset, value) in ints {
-        put(offset, value.to_le_bytes());
-    }
-    // 1 Angstrom stands for an unknown pixel size.
-    let angstrom = pixel_size_nm.map_or(1.0, |size| 10.0 * size);
-    let values = sections.iter().flatten();
-    let (mut low, mut high, mut sum, mut squares) = (i16::MAX, i16::MIN, 0.0_f64, 0.0_f64);
-    for &value in values {
-        (low, high) = (low.min(value), high.max(value));
-        sum += f64::from(value);
-        squares += f64::from(value) * f64::from(value);
-    }
-    let total = (rows * columns * sections.len()).max(1) as f64;
-    let mean = sum / total;
-    let deviation = (squares / total - mean * mean).max(0.0).sqrt();
-    let cell = |count: i32| (f64::from(count) * angstrom) as f32;
-    let floats = [
-        (40, cell(nx)),
-        (44, cell(ny)),
-        (48, cell(nz)),
-        (52, 90.0),
-        (56, 90.0),
-        (60, 90.0),
-        (76, f32::from(low)),
-        (80, f32::from(high)),
-        (84, mean as f32),
-        (216, deviation as f32),
-    ];
-    for (offset, value) in floats {
-        put(offset, value.to_le_bytes());
-    }
-    put(208, *b"MAP ");
-    put(212, [0x44, 0x44, 0, 0]);
+    let size = [count(columns)?, count(rows)?, count(sections.len())?];
+    let mut statistics = Statistics::default();
+    sections.iter().flatten().for_each(|value| statistics.add(f64::from(*value)));
+    let header = header(size, Kind::Stack, pixel_size_nm, &statistics);
     out.write_all(&header)?;
     let mut bytes = Vec::with_capacity(2 * columns);
     for section in sections {

@@ -9,7 +9,7 @@ mod oriented;
 mod padded;
 mod paint;
 mod points;
-mod prepare;
+pub(crate) mod prepare;
 mod scales;
 
 use ndarray::Array2;

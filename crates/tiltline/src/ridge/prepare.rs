@@ -46,7 +46,7 @@ pub(super) fn prepare(image: &Array2<f32>, rows_rad: f64) -> Prepared {
 }
 
 /// Where the image has data: finite, and not in a flat darkest region that touches the border of the image or a gap.
-fn data_mask(image: &Array2<f32>) -> Array2<bool> {
+pub(crate) fn data_mask(image: &Array2<f32>) -> Array2<bool> {
     let (height, width) = image.dim();
     let mut has_data = image.mapv(f32::is_finite);
     let finite = image.iter().filter(|value| value.is_finite());
