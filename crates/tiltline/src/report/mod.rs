@@ -8,6 +8,7 @@ pub mod figures;
 pub mod image;
 pub mod page;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::curve::{Curve3, Flag, TraceEnd};
@@ -34,6 +35,8 @@ const LINE_DECIMALS: usize = 1;
 const LINE_TOLERANCE_PX: f64 = 0.2;
 /// Digits of measures; none is known better.
 const MEASURE_DIGITS: usize = 6;
+/// Digits of maps and scales, which take part in further arithmetic; so few are read back as they were written.
+const GEOMETRY_DIGITS: usize = 12;
 
 /// Why a page could not be made or read.
 #[derive(Debug, thiserror::Error)]
@@ -176,13 +179,13 @@ impl Report {
             program: env!("CARGO_PKG_VERSION").into(),
             sources: [result.pair.left.source.clone(), result.pair.right.source.clone()],
             tilts_deg: [tilts.left_rad, tilts.right_rad].map(|tilt| rounded(tilt.to_degrees(), 6)),
-            frame: result.frame,
-            // Its points are in columns of their own.
-            rectification: Rectification { points: Vec::new(), ..result.rectified.rectification.clone() },
+            frame: kept(&result.frame, GEOMETRY_DIGITS)?,
+            // Without its points, which are in columns of their own.
+            rectification: kept(&result.rectified.rectification, GEOMETRY_DIGITS)?,
             point_matches: point_columns(&result.rectified.rectification),
             views: [left?, right?],
             curves: result.curves.iter().map(curve).collect(),
-            measures: serde_json::from_value(significant(serde_json::to_value(&result.measures)?, MEASURE_DIGITS))?,
+            measures: kept(&result.measures, MEASURE_DIGITS)?,
             warnings: result.warnings.clone(),
             run: run.to_owned(),
         })
@@ -204,6 +207,11 @@ impl Report {
     pub fn sigma_z(&self, sigma_px: f64) -> f64 {
         sigma_px * self.frame.depth_gain.abs() * self.frame.pixel
     }
+}
+
+/// A value with its numbers rounded as they are written, so that a report that was read is the one that was written.
+fn kept<T: Serialize + DeserializeOwned>(value: &T, digits: usize) -> Result<T, serde_json::Error> {
+    serde_json::from_value(significant(serde_json::to_value(value)?, digits))
 }
 
 fn point_columns(rectification: &Rectification) -> PointColumns {

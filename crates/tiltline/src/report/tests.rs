@@ -1,3 +1,5 @@
+use std::sync::LazyLock;
+
 use ndarray::Array2;
 
 use super::figures;
@@ -11,8 +13,11 @@ use crate::ridge::RidgeDetector;
 use crate::settings::Settings;
 use crate::simulate::{Scene, SceneSettings, ViewSettings, render};
 
+static IN_NM: LazyLock<Reconstruction> = LazyLock::new(|| reconstructed(Some(2.0)));
+static IN_PX: LazyLock<Reconstruction> = LazyLock::new(|| reconstructed(None));
+
 /// A drawn pair, reconstructed; small, so that it takes a moment only.
-fn result(pixel_size_nm: Option<f64>) -> Reconstruction {
+fn reconstructed(pixel_size_nm: Option<f64>) -> Reconstruction {
     let scene = Scene::random(&SceneSettings { seed: 4, curves: 8, ..SceneSettings::default() });
     let view = |tilt_deg: f64, seed| {
         let settings =
@@ -29,9 +34,8 @@ fn result(pixel_size_nm: Option<f64>) -> Reconstruction {
 
 #[test]
 fn positions_follow_from_the_columns_as_in_the_result() {
-    for pixel_size_nm in [Some(2.0), None] {
-        let result = result(pixel_size_nm);
-        let report = Report::new(&result, "").unwrap();
+    for result in [&*IN_NM, &*IN_PX] {
+        let report = Report::new(result, "").unwrap();
         assert!(!report.curves.is_empty());
         assert_eq!(report.curves.len(), result.curves.len());
         // Columns are kept to 0.001 px and 0.0001 px; depth is 5.7 times disparity at 10 degrees.
@@ -51,9 +55,8 @@ fn positions_follow_from_the_columns_as_in_the_result() {
 
 #[test]
 fn residuals_are_those_that_the_rectification_reports() {
-    let result = result(None);
-    let rectification = &result.rectified.rectification;
-    let report = Report::new(&result, "").unwrap();
+    let rectification = &IN_PX.rectified.rectification;
+    let report = Report::new(&IN_PX, "").unwrap();
     let rows = &report.point_matches.row;
     assert_eq!(rows.len(), rectification.inliers);
     let rms = (rows.iter().map(|row| row * row).sum::<f64>() / rows.len() as f64).sqrt();
@@ -66,7 +69,7 @@ fn residuals_are_those_that_the_rectification_reports() {
 
 #[test]
 fn a_page_gives_its_report_back_and_is_the_same_again() {
-    let report = Report::new(&result(Some(0.7)), "seed = 0\n").unwrap();
+    let report = Report::new(&IN_NM, "seed = 0\n").unwrap();
     let text = page::write(&report).unwrap();
     let again = page::read(&text).unwrap();
     assert_eq!(again, report);
@@ -75,13 +78,13 @@ fn a_page_gives_its_report_back_and_is_the_same_again() {
 
 #[test]
 fn no_user_text_is_markup() {
-    let mut report = Report::new(&result(None), "").unwrap();
+    let mut report = Report::new(&IN_PX, "").unwrap();
     let hostile = "</script><script>alert(1)</script></title><!--\u{1}\"'&.png";
     report.sources[0].path = hostile.into();
     report.run = hostile.into();
     report.warnings.push(Warning::new(crate::progress::Stage::Read, hostile));
     let text = page::write(&report).unwrap();
-    let harmless = page::write(&Report::new(&result(None), "").unwrap()).unwrap();
+    let harmless = page::write(&Report::new(&IN_PX, "").unwrap()).unwrap();
     for tag in ["<script", "</script", "<!--", "<title", "</title"] {
         assert_eq!(text.matches(tag).count(), harmless.matches(tag).count(), "{tag}");
     }
@@ -95,7 +98,7 @@ fn no_user_text_is_markup() {
 #[test]
 fn other_files_and_versions_are_refused_with_a_word() {
     assert!(matches!(page::read("<html></html>"), Err(ReportError::NoData)));
-    let text = page::write(&Report::new(&result(None), "").unwrap()).unwrap();
+    let text = page::write(&Report::new(&IN_PX, "").unwrap()).unwrap();
     let later = text.replacen("\"format_version\":1", "\"format_version\":99", 1);
     let error = page::read(&later).unwrap_err();
     assert!(error.to_string().contains("99"), "{error}");
@@ -104,7 +107,7 @@ fn other_files_and_versions_are_refused_with_a_word() {
 
 #[test]
 fn figures_have_the_curves_and_their_units() {
-    let report = Report::new(&result(Some(2.0)), "").unwrap();
+    let report = Report::new(&IN_NM, "").unwrap();
     let figures = figures::all(&report);
     let names: Vec<&str> = figures.iter().map(|figure| figure.name).collect();
     assert_eq!(names, ["images", "projections", "histograms", "residuals"]);
@@ -163,7 +166,7 @@ fn a_picture_is_a_jpeg_of_the_image_and_void_is_grey() {
 
 #[test]
 fn corners_are_those_of_the_input_on_the_rectified_grid() {
-    let mut result = result(None);
+    let mut result = IN_PX.clone();
     result.rectified.rectification.rectified_from_left = Similarity2::new(Vector2::new(10.0, 20.0), 0.0, 1.0);
     let report = Report::new(&result, "").unwrap();
     assert_eq!(report.views[0].corners, [[9.5, 19.5], [297.5, 19.5], [297.5, 275.5], [9.5, 275.5]]);
