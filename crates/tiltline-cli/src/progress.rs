@@ -44,7 +44,7 @@ impl Display {
             (Display::Lines { verbose: true }, Event::Finished(stage, seconds)) => {
                 eprintln!("{stage:<12} {seconds:7.2} s")
             }
-            (Display::Nothing | Display::Lines { .. }, _) => {}
+            (_, Event::Advanced(..)) | (Display::Nothing | Display::Lines { .. }, _) => {}
         }
     }
 

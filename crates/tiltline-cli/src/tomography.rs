@@ -149,7 +149,8 @@ pub fn run(flags: &Tomography) -> Result<()> {
     })?;
     progress.clear();
 
-    let [least, largest] = covered.range_rad.map(f64::to_degrees);
+    // Takes the rounding of the way to radians and back out.
+    let [least, largest] = covered.range_rad.map(|tilt| (tilt.to_degrees() * 1e6).round() / 1e6);
     let missing = covered.missing_rad.to_degrees();
     let wedge = if covered.wedge {
         format!("missing wedge of {missing:.1} degrees: what lies across it is drawn out along z")

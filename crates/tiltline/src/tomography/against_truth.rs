@@ -18,8 +18,8 @@ use crate::truth::{Truth, TruthError, TruthPair};
 /// Layers of the volume above and below the deepest lines, px.
 const MARGIN_PX: f64 = 8.0;
 /// Shares of the voxels above the threshold that are tried, each twice the one before, beginning with this.
-const FIRST_SHARE: f64 = 0.0005;
-const SHARES: u32 = 7;
+const FIRST_SHARE: f64 = 0.0001;
+const SHARES: u32 = 9;
 /// Values that a threshold is chosen among are every so many-th voxel.
 const STRIDE: usize = 7;
 /// What a tomogram's curves state as the sigma of their disparity, px: they know none, and are not judged by it.

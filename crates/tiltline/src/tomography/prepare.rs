@@ -9,7 +9,7 @@ use nalgebra::{Rotation2, Translation2};
 use ndarray::{Array2, Zip};
 use serde::{Deserialize, Serialize};
 
-use crate::filter::gaussian_blur;
+use crate::filter::{gaussian_blur, percentiles};
 use crate::geometry::{Similarity2, Vector2};
 use crate::rectify::resample::resample;
 use crate::ridge::prepare::data_mask;
@@ -19,7 +19,7 @@ use crate::ridge::prepare::data_mask;
 #[serde(deny_unknown_fields, default)]
 pub struct PrepareSettings {
     /// Standard deviation, px, of the Gaussian whose mean is the background; the view becomes its relative difference from that.
-    /// `None` leaves the background.
+    /// With `None` the view less the level of its emptiest places is taken: a detector's offset is no matter.
     pub flatten_px: Option<f64>,
     /// Turns the contrast over: for dark lines.
     pub invert: bool,
@@ -34,6 +34,8 @@ impl PrepareSettings {
 
 /// Least background that is divided by, as a share of the view's mean.
 const LEAST_BACKGROUND: f32 = 0.05;
+/// Share of a view's pixels that are darker than what counts as empty (brighter, where the contrast is turned over).
+const EMPTY_SHARE: f64 = 0.02;
 /// Pixels this near to a border without data, px, are not trusted.
 const MARGIN_PX: f64 = 2.0;
 
@@ -54,8 +56,8 @@ fn image_from_projection(shape: [usize; 2], axis_rad: f64) -> Similarity2 {
     Similarity2::from_parts(Translation2::from(middle), Rotation2::new(axis_rad).into(), 1.0)
 }
 
-/// A view `[row, column]` prepared and moved by `upright_from_image` on to a grid of `shape`. Finite everywhere: 0 where a
-/// flattened view has no data, else its least value.
+/// A view `[row, column]` prepared and moved by `upright_from_image` on to a grid of `shape`. Finite everywhere: 0 where it has no
+/// data.
 pub fn prepare(
     image: &Array2<f32>,
     upright_from_image: &Similarity2,
@@ -65,18 +67,14 @@ pub fn prepare(
     let sign = if settings.invert { -1.0 } else { 1.0 };
     let values = match settings.flatten_px {
         Some(sigma) => flattened(image, sigma).mapv(|value| sign * value),
-        None if settings.invert => {
-            let most = image.iter().copied().filter(|value| value.is_finite()).fold(f32::NEG_INFINITY, f32::max);
-            image.mapv(|value| most - value)
+        None => {
+            let [least, largest] = percentiles(image, [EMPTY_SHARE, 1.0 - EMPTY_SHARE]);
+            let empty = if settings.invert { largest } else { least };
+            image.mapv(|value| sign * (value - empty))
         }
-        None => image.clone(),
-    };
-    let outside = match settings.flatten_px {
-        Some(_) => 0.0,
-        None => values.iter().copied().filter(|value| value.is_finite()).reduce(f32::min).unwrap_or(0.0),
     };
     let moved = resample(&values.view(), upright_from_image, shape);
-    moved.mapv_into(|value| if value.is_finite() { value } else { outside })
+    moved.mapv_into(|value| if value.is_finite() { value } else { 0.0 })
 }
 
 /// Relative difference from the background, 0 where there is no data.
@@ -109,10 +107,11 @@ mod tests {
         let (map, shape) = upright([20, 31], std::f64::consts::FRAC_PI_2);
         assert_eq!(shape, [31, 20]);
         let turned = prepare(&image, &map, shape, &PrepareSettings::default());
+        let [empty] = percentiles(&image, [EMPTY_SHARE]);
         for ((row, column), value) in image.indexed_iter() {
             let place = map * Point2::new(column as f64, row as f64);
             let found = turned[[place.y.round() as usize, place.x.round() as usize]];
-            assert!((found - value).abs() < 0.01, "{row} {column} {found} {value}");
+            assert!((found + empty - value).abs() < 0.01, "{row} {column} {found} {value}");
             assert_eq!(place.x.round() as usize, row);
         }
     }
