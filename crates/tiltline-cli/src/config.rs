@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use tiltline::settings::Settings;
 
 use crate::method::MethodSettings;
+use crate::series::SeriesRecord;
 
 /// What is known about the pair beside its pixels.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -73,6 +74,9 @@ pub struct RunRecord {
     pub left: tiltline::micrograph::Source,
     /// Path and SHA-256 of the right file.
     pub right: tiltline::micrograph::Source,
+    /// The series the pair was taken from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub series: Option<SeriesRecord>,
     /// Seconds each stage took.
     pub seconds: BTreeMap<&'static str, f64>,
 }
@@ -113,6 +117,7 @@ mod tests {
             matcher: "classical".into(),
             left: source.clone(),
             right: source,
+            series: None,
             seconds: BTreeMap::from([("read", 0.25)]),
         };
         let text = run_toml(&config, &record).unwrap();

@@ -12,7 +12,9 @@ mod output;
 mod progress;
 mod quantity;
 mod reconstruct;
+mod reproject;
 mod score;
+mod series;
 mod simulate;
 mod summary;
 mod train;
@@ -37,6 +39,7 @@ fn main() -> ExitCode {
 fn run(cli: Cli) -> Result<()> {
     match cli.command {
         Command::Reconstruct(flags) => reconstruct::run(&flags),
+        Command::Reproject(flags) => reproject::run(&flags),
         Command::Simulate(flags) => simulate::run(&flags),
         Command::Score(flags) => score::run(&flags),
         Command::Bench(flags) => bench::run(&flags),

@@ -28,6 +28,7 @@ pub mod rectify;
 pub mod refine;
 pub mod ridge;
 pub mod score;
+pub mod series;
 pub mod settings;
 pub mod simulate;
 pub mod temporary;
