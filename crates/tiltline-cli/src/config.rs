@@ -17,6 +17,9 @@ pub struct Acquisition {
     /// Tilts of left and right in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tilts_deg: Option<[f64; 2]>,
+    /// Of a tilt series: whether the pair alone is reconstructed, and the other views are left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pair_only: Option<bool>,
     /// Side of a pixel of the left image in nm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pixel_size_nm: Option<f64>,

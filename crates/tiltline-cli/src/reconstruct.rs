@@ -102,6 +102,10 @@ fn reconstruct_views(
     warnings.extend(chosen.iter().flat_map(|chosen| chosen.series.warnings.clone()));
     warnings.append(&mut result.warnings);
     result.warnings = warnings;
+    let mut files = Vec::new();
+    if let Some(chosen) = chosen.filter(|chosen| !chosen.pair_only) {
+        (result, files) = timed(&progress, Stage::Refine, || chosen.fit(result, config, stages))?;
+    }
     let [left, right] = sources;
     let record = RunRecord {
         version: env!("CARGO_PKG_VERSION"),
@@ -112,8 +116,9 @@ fn reconstruct_views(
         series: chosen.map(Chosen::record),
         seconds: seconds.lock().expect("no thread panics while it holds the lock").clone(),
     };
-    let extra = [("run.toml", run_toml(config, &record)?.into_bytes())];
-    timed(&progress, Stage::Export, || interrupt::write_all(&result, &extra, output, force))?;
+    // The record comes last: it says that the rest is complete.
+    files.push(("run.toml", run_toml(config, &record)?.into_bytes()));
+    timed(&progress, Stage::Export, || interrupt::write_all(&result, &files, output, force))?;
     Ok(Summary::of(&result, provenance))
 }
 

@@ -2,11 +2,14 @@
 
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
+use tiltline::export::{self, xf};
 use tiltline::io::parse_tilts;
-use tiltline::series::{ChosenPair, Series, choose_pair, pair_at};
+use tiltline::reconstruction::Reconstruction;
+use tiltline::series::{AlignSettings, ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series};
 
 use crate::args::Reconstruct;
 use crate::config::Config;
+use crate::method::Stages;
 use crate::reconstruct::wrong_usage;
 
 /// The part of `[run]` that says which views of which series were used.
@@ -32,8 +35,8 @@ pub struct Chosen {
     pub series: Series,
     /// The pair.
     pub pair: ChosenPair,
-    /// Whether the user named the pair, so that the other views are left alone.
-    pub named: bool,
+    /// Whether the pair alone is reconstructed: the user asked for one, or there are no other views.
+    pub pair_only: bool,
 }
 
 impl Chosen {
@@ -55,12 +58,50 @@ impl Chosen {
         if config.acquisition.pixel_size_nm.is_none() {
             config.acquisition.pixel_size_nm = series.pixel_size.as_ref().map(|(size, _)| *size);
         }
-        Ok(Self { series, pair, named: flags.pair.is_some() })
+        if flags.pair.is_some() {
+            config.acquisition.pair_only = Some(true);
+        }
+        let pair_only = config.acquisition.pair_only.unwrap_or(false) || series.views.len() < 3;
+        Ok(Self { series, pair, pair_only })
     }
 
     /// The two images, as every command understands them.
     pub fn images(&self) -> [&str; 2] {
         self.pair.views.map(|view| self.series.views[view].spec.as_str())
+    }
+
+    /// Fits the pair's curves to all views. Returns the result and the files that say how the views lie.
+    pub fn fit(
+        &self,
+        result: Reconstruction,
+        config: &Config,
+        stages: &Stages,
+    ) -> Result<(Reconstruction, Vec<(&'static str, Vec<u8>)>)> {
+        let axis_rad = result.rectified.rectification.rectified_from_left.isometry.rotation.angle();
+        let settings = AlignSettings { axis_rad: Some(-axis_rad) };
+        let aligned = align(&self.series, &settings, &|_, _| ()).into_diagnostic()?;
+        let mut lines_of =
+            |view: usize| Ok(detect_lines(&self.series.view(view)?, &*stages.detector, &config.settings.trace));
+        let fit = reconstruct_series(
+            result,
+            self.pair.views,
+            &self.series,
+            &aligned,
+            &*stages.detector,
+            &config.settings,
+            &config.settings.series,
+            &mut lines_of,
+        )
+        .into_diagnostic()?;
+        let (mut views, mut transforms, mut tilts) = (Vec::new(), Vec::new(), Vec::new());
+        export::reprojection::write_fitted_views(&fit, &self.series, &mut views).into_diagnostic()?;
+        let (matrices, _) = fit.refined.transforms(&self.series);
+        xf::write_xf(&matrices, &mut transforms).into_diagnostic()?;
+        xf::write_tlt(&fit.refined.tilts_deg(&self.series), &mut tilts).into_diagnostic()?;
+        let files = vec![("views.csv", views), ("series.xf", transforms), ("series.tlt", tilts)];
+        let mut reconstruction = fit.reconstruction;
+        reconstruction.warnings.extend(aligned.warnings);
+        Ok((reconstruction, files))
     }
 
     /// The record.

@@ -11,7 +11,7 @@ use super::overlay::colour::viridis;
 use super::overlay::{Zoom, draw_image};
 use crate::geometry::Point2;
 use crate::micrograph::Micrograph;
-use crate::series::{Reprojection, SavedCurves, ViewReprojection};
+use crate::series::{Reprojection, SavedCurves, Series, SeriesFit, ViewReprojection};
 
 const INK: Rgb = [32, 32, 32];
 const PAPER: Rgb = [255, 255, 255];
@@ -85,6 +85,40 @@ pub fn write_json(result: &Reprojection, curves: &SavedCurves, out: &mut (impl W
     });
     serde_json::to_writer_pretty(&mut *out, &value)?;
     writeln!(out)
+}
+
+/// Writes `views.csv` of a fit to all views: a row a view that took part, with what was found of its pose.
+///
+/// # Errors
+/// Where `out` cannot be written to.
+pub fn write_fitted_views(fit: &SeriesFit, series: &Series, out: &mut (impl Write + ?Sized)) -> io::Result<()> {
+    writeln!(
+        out,
+        "section,tilt_deg,in_pair,tilt_error_deg,sigma_tilt_error_deg,axis_deg,scale,origin_x_px,origin_y_px,lines_px,noise"
+    )?;
+    let grown = &fit.grown;
+    let mut order: Vec<usize> = (0..grown.views.len()).collect();
+    order.sort_by_key(|place| grown.views[*place].view);
+    for place in order {
+        let (view, stored) = (&grown.views[place], &series.views[grown.views[place].view]);
+        let origin = view.pose.origin();
+        writeln!(
+            out,
+            "{},{},{},{:.4},{:.4},{:.4},{:.6},{:.3},{:.3},{:.0},{:.3}",
+            stored.section,
+            stored.tilt_deg,
+            place < 2,
+            (view.pose.tilt_rad - view.nominal_rad).to_degrees(),
+            grown.tilt_sigma_rad[place].to_degrees(),
+            view.pose.axis_rad().to_degrees(),
+            view.pose.scale(),
+            origin.x,
+            origin.y,
+            view.lines.lines().length_px(),
+            grown.noise[place]
+        )?;
+    }
+    Ok(())
 }
 
 /// Writes `points.csv`: every re-projected point in every view, in px of its file.

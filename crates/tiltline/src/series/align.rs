@@ -144,6 +144,15 @@ impl AlignedSeries {
         (series.stored_tilts_deg.iter().enumerate().map(of_section).collect(), series.stored_tilts_deg.clone())
     }
 
+    /// Tilt of each stored section in degrees, with what the alignment found.
+    pub fn tilts_deg(&self, series: &Series) -> Vec<f64> {
+        let tilt = |(section, nominal): (usize, &f64)| {
+            let view = series.views.iter().position(|view| view.section == section);
+            view.map_or(*nominal, |view| self.poses[view].tilt_rad.to_degrees())
+        };
+        series.stored_tilts_deg.iter().enumerate().map(tilt).collect()
+    }
+
     /// The alignment that transforms (one a stored section) describe. Stretches, which no pose has, are left out.
     ///
     /// # Errors

@@ -118,7 +118,7 @@ pub(super) fn check(
     let tilts = if span_deg > LEAST_SPAN_DEG && order != PairOrder::Swapped {
         let free = |(view, lines): &&(ViewReprojection, LineIndex)| free_depth(points, lines, &view.pose);
         let supported = far.iter().copied().filter(|(view, _)| view.supported);
-        tilts(&supported.collect::<Vec<_>>().iter().filter_map(free).collect::<Vec<_>>(), phi)
+        tilts(&supported.collect::<Vec<_>>().iter().filter_map(free).collect::<Vec<_>>(), phi, curves.reliability())
     } else {
         PairTilts::CannotTell
     };
@@ -149,21 +149,23 @@ fn order(near: &[[f64; 2]]) -> (PairOrder, Option<[f64; 2]>) {
 }
 
 /// Whether the factors of the views agree with 1. Their scatter says how well each is known: their own sigmas know only errors
-/// along the lines.
-fn tilts(factors: &[[f64; 2]], phi: f64) -> PairTilts {
+/// along the lines. Errors of the depths themselves draw the factors towards nothing (regression dilution, Spearman 1904), by the
+/// reliability of the depths, which is itself known to about a half of what it is short of 1.
+fn tilts(factors: &[[f64; 2]], phi: f64, reliability: f64) -> PairTilts {
     if factors.len() < LEAST_VIEWS {
         return PairTilts::CannotTell;
     }
     let mut sorted: Vec<f64> = factors.iter().map(|factor| factor[0]).collect();
     sorted.sort_by(f64::total_cmp);
-    let median = sorted[sorted.len() / 2];
-    let mut off: Vec<f64> = sorted.iter().map(|factor| (factor - median).abs()).collect();
+    let drawn = sorted[sorted.len() / 2];
+    let median = drawn / reliability;
+    let mut off: Vec<f64> = sorted.iter().map(|factor| (factor - drawn).abs()).collect();
     off.sort_by(f64::total_cmp);
     let scatter = 1.4826 * off[off.len() / 2];
     // Views share the curves, and with them their errors: they are not independent.
     let own = scatter.max(0.01) / (factors.len() as f64).sqrt().min(2.0);
     let tilt = MeasureSettings::default().tilt_sigma_deg.to_radians() * std::f64::consts::SQRT_2 / phi.abs();
-    let sigma = own.hypot(tilt);
+    let sigma = own.hypot(tilt).hypot(0.5 * (1.0 / reliability - 1.0));
     if sigma > MOST_SIGMA {
         return PairTilts::CannotTell;
     }
@@ -226,9 +228,11 @@ mod tests {
     fn depths_too_small_mean_an_angle_too_large() {
         let phi = 8.0_f64.to_radians();
         let views = |factor: f64| [0.99, 1.0, 1.01, 1.0].map(|noise| [factor * noise, 0.01]);
-        assert!(matches!(tilts(&views(1.02), phi), PairTilts::Agree { .. }));
-        let PairTilts::Disagree { phi_deg, .. } = tilts(&views(1.25), phi) else { panic!("a quarter is too much") };
+        assert!(matches!(tilts(&views(1.02), phi, 1.0), PairTilts::Agree { .. }));
+        let PairTilts::Disagree { phi_deg, .. } = tilts(&views(1.25), phi, 1.0) else { panic!("a quarter is too much") };
         assert!((phi_deg - 6.4).abs() < 0.01);
-        assert_eq!(tilts(&views(1.0)[..2], phi), PairTilts::CannotTell);
+        // Depths of which a fifth of the variance is error show four fifths of themselves.
+        assert!(matches!(tilts(&views(0.8), phi, 0.8), PairTilts::Agree { .. }));
+        assert_eq!(tilts(&views(1.0)[..2], phi, 1.0), PairTilts::CannotTell);
     }
 }

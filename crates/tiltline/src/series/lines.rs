@@ -122,6 +122,41 @@ impl LineIndex {
         Some(self.near(found.data, point))
     }
 
+    /// Where the line across a curve (through `point`, perpendicular to the unit `tangent`) meets a detected line that runs along it:
+    /// the offset along the normal `(-tangent.y, tangent.x)`, and the line's own sigma, px. `None` where there is none within reach.
+    ///
+    /// Unlike the nearest point of a noisy line, this offset is not drawn towards where one looks from, and does not reach beyond
+    /// the line's ends.
+    pub fn offset_across(
+        &self,
+        point: &Point2,
+        tangent: &Vector2,
+        reach_px: f64,
+        most_turn: f64,
+    ) -> Option<(f64, f64, usize)> {
+        let near = self.nearest_along(point, tangent, reach_px, most_turn)?;
+        let points = &self.lines.traces.traces[near.trace].points;
+        let along = |index: usize| tangent.dot(&(points[index].position - point));
+        let normal = Vector2::new(-tangent.y, tangent.x);
+        // From the nearest point outwards, on both sides in turn.
+        let walk = 2 * reach_px.ceil() as usize + 2;
+        let mut found: Option<(usize, f64)> = None;
+        for start in (near.point.saturating_sub(walk)..(near.point + walk).min(points.len() - 1)).filter(|at| at + 1 < points.len()) {
+            let (a, b) = (along(start), along(start + 1));
+            if a * b > 0.0 || a == b {
+                continue;
+            }
+            let share = a / (a - b);
+            let place = points[start].position + (points[start + 1].position - points[start].position) * share;
+            let offset = normal.dot(&(place - point));
+            let steps = start.abs_diff(near.point);
+            if offset.abs() <= reach_px && found.is_none_or(|(best, _)| steps < best) {
+                found = Some((steps, offset));
+            }
+        }
+        found.map(|(_, offset)| (offset, near.sigma_px, near.trace))
+    }
+
     /// The foot of a point on the polyline about one of its points.
     fn near(&self, (trace, index): (usize, usize), point: &Point2) -> NearLine {
         let points = &self.lines.traces.traces[trace].points;

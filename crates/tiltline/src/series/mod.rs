@@ -11,6 +11,7 @@ mod checks;
 mod choose;
 mod error;
 mod evenness;
+mod fit;
 mod lines;
 mod names;
 mod phase;
@@ -25,9 +26,13 @@ pub use checks::{Checks, PairOrder, PairTilts};
 pub use choose::{ChosenPair, choose_pair, pair_at};
 pub use error::SeriesError;
 pub use evenness::tilt_notes;
+pub use fit::{FitSettings, FitView, FittedCurve, Grown, SeriesFit, StartCurve, grow, reconstruct_series};
 pub use lines::{LineIndex, ViewLines, detect_lines};
 pub use pose::ViewPose;
 pub use read::{Series, SeriesView};
 pub use register::{Registration, register};
 pub use reproject::{Distances, Reprojection, ViewReprojection, reproject};
 pub use saved::{SavedCurve, SavedCurves};
+
+#[cfg(test)]
+mod tests;

@@ -20,6 +20,8 @@ pub struct SavedCurve {
     /// Points in the mid-view frame in rectified px, with the depth sign of the tilts (an asked-for flip undone): what
     /// [`ViewPose`]s project.
     pub points: Vec<Point3>,
+    /// One sigma of z at each, rectified px.
+    pub sigma_z: Vec<f64>,
     /// How far each is trusted.
     pub flags: Vec<Flag>,
     /// Whether the last point joins the first.
@@ -92,13 +94,15 @@ impl File {
             };
             let [x, y, z] = ["x", "y", "z"].map(|axis| numbers(&format!("{axis}_{}", unit.word())));
             let (x, y, z) = (x?, y?, z?);
+            let sigma_z = numbers(&format!("sigma_z_{}", unit.word()))?;
             let words = curve.points.get("flag").and_then(Value::as_array).map(Vec::as_slice).unwrap_or_default();
             let flags: Vec<Flag> = words.iter().filter_map(|word| flag(word.as_str()?)).collect();
-            if [y.len(), z.len(), flags.len()] != [x.len(); 3] || x.len() < 2 {
+            if [y.len(), z.len(), flags.len(), sigma_z.len()] != [x.len(); 4] || x.len() < 2 {
                 return Err(format!("curve {index} has columns of different length, an unknown flag or too few points"));
             }
             let point = |at: usize| Point3::new(x[at] / pixel, y[at] / pixel, sign * z[at] / pixel);
-            Ok(SavedCurve { points: (0..x.len()).map(point).collect(), flags, closed: curve.closed })
+            let sigma_z = sigma_z.iter().map(|sigma| sigma / pixel).collect();
+            Ok(SavedCurve { points: (0..x.len()).map(point).collect(), sigma_z, flags, closed: curve.closed })
         };
         let curves = self.curves.iter().enumerate().map(curve).collect::<Result<_, _>>()?;
         Ok(SavedCurves { curves, tilts, poses: poses(&self.rectification, tilts, &self.frame), unit: (unit, pixel) })
@@ -110,7 +114,7 @@ fn flag(word: &str) -> Option<Flag> {
 }
 
 /// Poses of the views of a pair in its mid-view frame: x and y from the centre of the rectified image, z relative to its median.
-fn poses(rectification: &Rectification, tilts: TiltPair, frame: &Frame) -> [ViewPose; 2] {
+pub(super) fn poses(rectification: &Rectification, tilts: TiltPair, frame: &Frame) -> [ViewPose; 2] {
     let half = 0.5 * tilts.phi();
     let maps = [(&rectification.rectified_from_left, -half), (&rectification.rectified_from_right, half)];
     // Depths were measured from where disparity is zero; what was subtracted since moves each view along the rows.
@@ -126,6 +130,20 @@ fn poses(rectification: &Rectification, tilts: TiltPair, frame: &Frame) -> [View
 }
 
 impl SavedCurves {
+    /// Share of the spread of depths that is not their own error: `1 - mean(sigma^2) / variance`, between 0.2 and 1.
+    pub fn reliability(&self) -> f64 {
+        let points = self.curves.iter().flat_map(|curve| curve.points.iter().zip(&curve.sigma_z));
+        let (mut count, mut sum, mut squares, mut errors) = (0.0, 0.0, 0.0, 0.0);
+        for (point, sigma) in points.filter(|(_, sigma)| sigma.is_finite()) {
+            count += 1.0;
+            sum += point.z;
+            squares += point.z * point.z;
+            errors += sigma * sigma;
+        }
+        let variance = squares - sum * sum / f64::max(count, 1.0);
+        if variance > 0.0 { (1.0 - errors / variance).clamp(0.2, 1.0) } else { 0.2 }
+    }
+
     /// All points, and the direction of their curve there; of closed curves too each point once.
     pub fn points_with_tangents(&self) -> Vec<(Point3, crate::geometry::Vector3)> {
         let of_curve = |curve: &SavedCurve| {
