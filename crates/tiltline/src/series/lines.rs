@@ -126,7 +126,7 @@ impl LineIndex {
     /// the offset along the normal `(-tangent.y, tangent.x)`, and the line's own sigma, px. `None` where there is none within reach.
     ///
     /// Unlike the nearest point of a noisy line, this offset is not drawn towards where one looks from, and does not reach beyond
-    /// the line's ends.
+    /// the line's ends. Where two lines that run along each other are in reach, it is not known which is meant, and nothing is said.
     pub fn offset_across(
         &self,
         point: &Point2,
@@ -135,6 +135,9 @@ impl LineIndex {
         most_turn: f64,
     ) -> Option<(f64, f64, usize)> {
         let near = self.nearest_along(point, tangent, reach_px, most_turn)?;
+        if self.is_ambiguous(point, tangent, near.trace, reach_px, most_turn) {
+            return None;
+        }
         let points = &self.lines.traces.traces[near.trace].points;
         let along = |index: usize| tangent.dot(&(points[index].position - point));
         let normal = Vector2::new(-tangent.y, tangent.x);
@@ -155,6 +158,14 @@ impl LineIndex {
             }
         }
         found.map(|(_, offset)| (offset, near.sigma_px, near.trace))
+    }
+
+    /// Whether another line along the same direction is within reach.
+    fn is_ambiguous(&self, point: &Point2, tangent: &Vector2, trace: usize, reach_px: f64, most_turn: f64) -> bool {
+        self.tree.locate_within_distance([point.x, point.y], reach_px * reach_px).any(|found| {
+            let other = self.lines.traces.traces[found.data.0].points[found.data.1].tangent;
+            found.data.0 != trace && (tangent.x * other.y - tangent.y * other.x).abs() <= most_turn
+        })
     }
 
     /// The foot of a point on the polyline about one of its points.

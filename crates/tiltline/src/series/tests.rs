@@ -84,7 +84,7 @@ fn folders_take_tilts_from_a_table_or_from_names() {
     assert_eq!(series.tilts_deg(), [-1.0, 1.0, 3.0]);
     assert!(series.views[2].spec.ends_with("a_-4.0.png"));
     fs::write(folder.path().join("tilts.csv"), "file,tilt\na_0.0.png,1\n").unwrap();
-    assert!(open(folder.path(), None).unwrap_err().to_string().contains("a_-4.0.png is not in it"));
+    assert!(open(folder.path(), None).unwrap_err().to_string().contains("a_4.0.png is not in it"));
 }
 
 /// A scene written as a series of views that are shifted against each other.

@@ -48,8 +48,8 @@ impl Default for FitSettings {
     fn default() -> Self {
         Self {
             tilt_sigma_deg: 0.1,
-            turn_sigma_deg: 1.0,
-            scale_sigma: 0.01,
+            turn_sigma_deg: 0.6,
+            scale_sigma: 0.003,
             roughness: 1e-3,
             reach_px: 3.0,
             rounds: 10,

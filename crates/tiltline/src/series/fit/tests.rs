@@ -27,9 +27,12 @@ fn curves() -> Vec<Vec<Point3>> {
 }
 
 /// The true pose of a view, a little off what is known of it: shift, turn, magnification, tilt.
-fn true_pose(index: usize, tilt_deg: f64, off: f64) -> ViewPose {
-    let wave = |k: f64| (12.9898 * (index as f64 + 1.0) * k).sin();
-    let tilt = (tilt_deg + 0.1 * off * wave(1.0)).to_radians();
+/// Errors of the tilts have no mean: that would turn the foil, and no image shows it.
+fn true_pose(index: usize, count: usize, tilt_deg: f64, off: f64) -> ViewPose {
+    let wave_of = |index: usize, k: f64| (12.9898 * (index as f64 + 1.0) * k).sin();
+    let wave = |k: f64| wave_of(index, k);
+    let mean = (0..count).map(|index| wave_of(index, 1.0)).sum::<f64>() / count as f64;
+    let tilt = (tilt_deg + 0.1 * off * (wave(1.0) - mean)).to_radians();
     let origin = Point2::new(255.5 + 3.0 * off * wave(2.0), 255.5 + 3.0 * off * wave(3.0));
     let scale = if index == 0 { 1.0 } else { 1.0 + 0.003 * off * wave(5.0) };
     ViewPose::new(tilt, (0.3 * off * wave(4.0)).to_radians(), scale, origin)
@@ -55,7 +58,7 @@ fn noisy_lines(curves: &[Vec<Point3>], pose: &ViewPose, rng: &mut Pcg64) -> View
 fn views(tilts_deg: &[f64], off: f64, seed: u64) -> (Vec<ViewPose>, Vec<FitView>) {
     let curves = curves();
     let mut rng = Pcg64::seed_from_u64(seed);
-    let truth: Vec<ViewPose> = tilts_deg.iter().enumerate().map(|(at, tilt)| true_pose(at, *tilt, off)).collect();
+    let truth: Vec<ViewPose> = tilts_deg.iter().enumerate().map(|(at, tilt)| true_pose(at, tilts_deg.len(), *tilt, off)).collect();
     let views = truth.iter().zip(tilts_deg).enumerate().map(|(at, (pose, tilt))| {
         let lines = LineIndex::new(noisy_lines(&curves, pose, &mut rng));
         let near = ViewPose::new(tilt.to_radians(), 0.0, 1.0, pose.origin() + Vector2::new(0.4, -0.3) * (off * (at % 3) as f64));
@@ -92,6 +95,13 @@ fn depth_errors(fitted: &[FittedCurve]) -> (f64, f64) {
         }
     }
     let mean = off.iter().sum::<f64>() / off.len() as f64;
+    if std::env::var("FIT_DEBUG").is_ok() {
+        for chunk in off.chunks(truth[0].len()) {
+            let (a, b, c) = (chunk[5], chunk[chunk.len() / 2], chunk[chunk.len() - 5]);
+            let r = (chunk.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / chunk.len() as f64).sqrt();
+            println!("  {r:.3}: {:.2} {:.2} {:.2} ({:?})", a - mean, b - mean, c - mean, chunk.iter().map(|v| ((v - mean) * 10.0).round() / 10.0).step_by(25).collect::<Vec<_>>());
+        }
+    }
     let rms = |values: &mut dyn Iterator<Item = f64>| {
         let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
         (sum / f64::from(count)).sqrt()
@@ -139,7 +149,13 @@ fn depths_reach_the_bound_at_3_9_and_45_views() {
         let tilts = tilts(count);
         let (rms, sigma) = depth_errors(&fitted(&tilts, 1.0, 4.0, 7).1);
         let bound = bound(&tilts);
+        let mut problem = fitted(&tilts, 1.0, 4.0, 7).0;
+        let (truth, _) = views(&tilts, 1.0, 7);
+        for (view, truth) in problem.views.iter().zip(&truth) {
+            println!("   tilt {:.4} {:.4} turn {:.4} {:.4} scale {:.5} {:.5}", (view.pose.tilt_rad - view.nominal_rad).to_degrees(), (truth.tilt_rad - view.nominal_rad).to_degrees(), view.pose.axis_rad().to_degrees(), truth.axis_rad().to_degrees(), view.pose.scale(), truth.scale());
+        }
+        problem.noise.iter().for_each(|n| print!("{:.2} ", n.0));
         println!("{count} views: error {rms:.3} px, stated {sigma:.3} px, bound {bound:.3} px");
-        assert!(rms < 1.5 * bound, "{count} views: {rms} px, bound {bound} px");
+        if std::env::var("FIT_DEBUG").is_err() { assert!(rms < 1.5 * bound, "{count} views: {rms} px, bound {bound} px"); }
     }
 }
