@@ -35,9 +35,7 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     let stages = Stages::new(&config.method, &config.settings)?;
     let show = |event: &Event| display.show(event);
     let summary = match &flags.right {
-        Some(right) => {
-            reconstruct([&flags.left, right], &mut config, &stages, &flags.output, flags.force, &show)?
-        }
+        Some(right) => reconstruct([&flags.left, right], &mut config, &stages, &flags.output, flags.force, &show)?,
         None => {
             let chosen = Chosen::open(flags, &mut config)?;
             of_series(&chosen, &mut config, &stages, &flags.output, flags.force, &show)?

@@ -6,7 +6,9 @@ use clap::Args;
 use miette::{IntoDiagnostic, Result, miette};
 use tiltline::export::{Staging, check_target, reprojection, xf};
 use tiltline::io::{parse_tilts, xf as transforms};
-use tiltline::series::{AlignSettings, AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject};
+use tiltline::series::{
+    AlignSettings, AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject,
+};
 
 use crate::args::{Lines, Method, Verbosity};
 use crate::interrupt;
@@ -122,7 +124,8 @@ fn record_of(result: &Path) -> Option<PathBuf> {
 fn views(flags: &Reproject, series: &Series) -> Result<Vec<usize>> {
     let Some(text) = &flags.views else { return Ok((0..series.views.len()).collect()) };
     let angles = parse_tilts(text).unwrap_or_else(|error| wrong_usage(&format!("--views {text}: {error}")));
-    let mut views = angles.iter().map(|angle| series.nearest(*angle)).collect::<Result<Vec<_>, _>>().into_diagnostic()?;
+    let mut views =
+        angles.iter().map(|angle| series.nearest(*angle)).collect::<Result<Vec<_>, _>>().into_diagnostic()?;
     views.sort_unstable();
     views.dedup();
     Ok(views)
@@ -165,7 +168,8 @@ fn write(
 }
 
 fn text(found: &Reprojection) -> String {
-    let mut text = String::from("view        points  median px  95 % px  within 2 px  within 5 px  (by chance within 3 px)\n");
+    let mut text =
+        String::from("view        points  median px  95 % px  within 2 px  within 5 px  (by chance within 3 px)\n");
     for view in &found.views {
         let name = format!("{:+.1}\u{b0}{}", view.tilt_deg, if view.in_pair { " *" } else { "" });
         text += &match &view.distances {

@@ -5,7 +5,9 @@ use serde::Serialize;
 use tiltline::export::{self, xf};
 use tiltline::io::parse_tilts;
 use tiltline::reconstruction::Reconstruction;
-use tiltline::series::{AlignSettings, ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series};
+use tiltline::series::{
+    AlignSettings, ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series,
+};
 
 use crate::args::Reconstruct;
 use crate::config::Config;
@@ -88,6 +90,7 @@ impl Chosen {
             &self.series,
             &aligned,
             &*stages.detector,
+            &*stages.matcher,
             &config.settings,
             &config.settings.series,
             &mut lines_of,

@@ -48,9 +48,9 @@ pub fn parse(text: &str) -> Result<Vec<SectionTransform>, String> {
             .map(|word| word.parse().ok().filter(|value: &f64| value.is_finite()))
             .collect::<Option<_>>()
             .ok_or_else(|| format!("line {} is {line:?}; a transform is six numbers", index + 1))?;
-        let numbers: [f64; 6] = numbers
-            .try_into()
-            .map_err(|given: Vec<f64>| format!("line {} has {} numbers; a transform has six", index + 1, given.len()))?;
+        let numbers: [f64; 6] = numbers.try_into().map_err(|given: Vec<f64>| {
+            format!("line {} has {} numbers; a transform has six", index + 1, given.len())
+        })?;
         let transform = SectionTransform::from_numbers(numbers);
         if transform.matrix.determinant().abs() < 1e-6 {
             return Err(format!("line {}: {line:?} maps the image on to a line", index + 1));

@@ -25,13 +25,14 @@ const LARGEST_PX: usize = 320;
 const LEAST_CONTRAST: f64 = 6.0;
 /// Views compared for the axis, evenly over the tilts, and how far those of a pair are apart in that list.
 const AXIS_VIEWS: usize = 16;
-const AXIS_APART: usize = 3;
+const AXIS_APART: [usize; 2] = [3, 6];
 /// Steps of the search for the axis, degrees: all directions, then about the best.
 const AXIS_STEPS_DEG: [f64; 2] = [2.0, 0.25];
 /// Mean correlation of profiles below which the axis is not seen.
 const LEAST_AXIS_CORRELATION: f64 = 0.3;
-/// By so much the best direction must be better than any other that is not near it.
-const AXIS_MARGIN: f64 = 0.03;
+/// What profiles along the best direction differ by (1 - correlation) must be less than this share of what they differ by along any
+/// direction that is not near it.
+const AXIS_MARGIN: f64 = 0.85;
 /// Directions this near are one, degrees.
 const NEAR_AXIS_DEG: f64 = 12.0;
 /// Furthest a profile is moved along the axis, as a share of its length.
@@ -209,7 +210,8 @@ fn chain(small: &[Small], tilts: &[f64], axis_rad: Option<f64>) -> (Vec<Point2>,
     let shape = small[0].image.dim();
     let middle = centre([shape.0, shape.1]);
     let usable: Vec<usize> = (0..small.len()).filter(|&view| small[view].usable).collect();
-    let least = (0..usable.len()).min_by(|&a, &b| tilts[usable[a]].abs().total_cmp(&tilts[usable[b]].abs())).unwrap_or(0);
+    let least =
+        (0..usable.len()).min_by(|&a, &b| tilts[usable[a]].abs().total_cmp(&tilts[usable[b]].abs())).unwrap_or(0);
     let correlator = PhaseCorrelator::new(shape.0.max(shape.1));
     let mut links: Vec<(usize, usize)> = Vec::new();
     links.extend((least + 1..usable.len()).map(|at| (usable[at - 1], usable[at])));
@@ -256,11 +258,13 @@ fn find_axis(small: &[Small], origins: &[Point2], tilts: &[f64]) -> Result<f64, 
         few if few <= AXIS_VIEWS => usable,
         many => (0..AXIS_VIEWS).map(|at| usable[at * (many - 1) / (AXIS_VIEWS - 1)]).collect(),
     };
-    let apart = AXIS_APART.min(chosen.len() - 1);
     let span_deg = (tilts[chosen[chosen.len() - 1]] - tilts[chosen[0]]).to_degrees();
     let agreement = |axis_rad: f64| {
-        let profiles: Vec<Vec<f64>> = chosen.iter().map(|&view| profile(&small[view].image, &origins[view], axis_rad)).collect();
-        let pairs: Vec<f64> = (apart..profiles.len()).map(|at| correlation(&profiles[at - apart], &profiles[at])).collect();
+        let profiles: Vec<Vec<f64>> =
+            chosen.iter().map(|&view| profile(&small[view].image, &origins[view], axis_rad)).collect();
+        let apart = AXIS_APART.map(|apart| apart.min(chosen.len() - 1));
+        let pairs = apart.into_iter().flat_map(|apart| (apart..chosen.len()).map(move |at| (at - apart, at)));
+        let pairs: Vec<f64> = pairs.map(|(a, b)| correlation(&profiles[a], &profiles[b])).collect();
         pairs.iter().sum::<f64>() / pairs.len().max(1) as f64
     };
     let steps = (PI / AXIS_STEPS_DEG[0].to_radians()).round() as i32;
@@ -278,7 +282,7 @@ fn find_axis(small: &[Small], origins: &[Point2], tilts: &[f64]) -> Result<f64, 
     };
     let rival = coarse.iter().filter(|(_, axis)| apart_deg(*axis) > NEAR_AXIS_DEG).map(|(score, _)| *score);
     let rival = rival.fold(f64::NEG_INFINITY, f64::max);
-    if best.0 < LEAST_AXIS_CORRELATION || best.0 - rival < AXIS_MARGIN {
+    if best.0 < LEAST_AXIS_CORRELATION || 1.0 - best.0 > AXIS_MARGIN * (1.0 - rival) {
         return Err(format!(
             "the direction of the tilt axis does not show in the {span_deg:.0} degrees of the series (profiles along {:.0} \
              degrees agree best, with correlation {:.2}, and others with {rival:.2}): it is taken as 0, vertical; give --tilt-axis",

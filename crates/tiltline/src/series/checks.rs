@@ -100,7 +100,9 @@ pub(super) fn check(
     let far: Vec<_> = far.iter().step_by(far.len().div_ceil(MOST_VIEWS).max(1)).take(MOST_VIEWS).copied().collect();
     let turned: Vec<(Point3, Vector3)> = points
         .iter()
-        .map(|(point, tangent)| (Point3::new(point.x, point.y, -point.z), Vector3::new(tangent.x, tangent.y, -tangent.z)))
+        .map(|(point, tangent)| {
+            (Point3::new(point.x, point.y, -point.z), Vector3::new(tangent.x, tangent.y, -tangent.z))
+        })
         .collect();
     let mut near = Vec::new();
     for (view, lines) in &far {
@@ -127,7 +129,9 @@ pub(super) fn check(
 
 /// The factor on depths in one view, and its sigma.
 fn free_depth(points: &[(Point3, Vector3)], lines: &LineIndex, pose: &ViewPose) -> Option<[f64; 2]> {
-    register(points, lines, pose, 4.0, true).filter(|found| found.is_supported() && found.depth[1] > 0.0).map(|found| found.depth)
+    register(points, lines, pose, 4.0, true)
+        .filter(|found| found.is_supported() && found.depth[1] > 0.0)
+        .map(|found| found.depth)
 }
 
 /// The order from the shares of points near lines, as they are and turned over.
@@ -192,7 +196,9 @@ impl Checks {
         let order = match self.order {
             PairOrder::Consistent => "the pair's order agrees with the tilts of the series",
             PairOrder::Swapped => "the pair is SWAPPED against the tilts of the series: swap its images or its tilts",
-            PairOrder::CannotTell => "whether the pair is swapped cannot be told: depth changes the other views too little",
+            PairOrder::CannotTell => {
+                "whether the pair is swapped cannot be told: depth changes the other views too little"
+            }
         };
         let tilts = match self.tilts {
             PairTilts::Agree { depth_factor, sigma } => format!(
@@ -229,7 +235,9 @@ mod tests {
         let phi = 8.0_f64.to_radians();
         let views = |factor: f64| [0.99, 1.0, 1.01, 1.0].map(|noise| [factor * noise, 0.01]);
         assert!(matches!(tilts(&views(1.02), phi, 1.0), PairTilts::Agree { .. }));
-        let PairTilts::Disagree { phi_deg, .. } = tilts(&views(1.25), phi, 1.0) else { panic!("a quarter is too much") };
+        let PairTilts::Disagree { phi_deg, .. } = tilts(&views(1.25), phi, 1.0) else {
+            panic!("a quarter is too much")
+        };
         assert!((phi_deg - 6.4).abs() < 0.01);
         // Depths of which a fifth of the variance is error show four fifths of themselves.
         assert!(matches!(tilts(&views(0.8), phi, 0.8), PairTilts::Agree { .. }));

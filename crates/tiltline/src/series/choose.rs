@@ -72,7 +72,8 @@ pub fn choose_pair(series: &Series) -> Result<ChosenPair, SeriesError> {
     let mut best: Option<(f64, [usize; 2])> = None;
     for first in (0..near.len()).filter(|&at| usable(at)) {
         for second in (first + 1..near.len()).filter(|&at| usable(at)) {
-            let (phi, middle) = (tilt(near[second]) - tilt(near[first]), 0.5 * (tilt(near[second]) + tilt(near[first])));
+            let (phi, middle) =
+                (tilt(near[second]) - tilt(near[first]), 0.5 * (tilt(near[second]) + tilt(near[first])));
             let outside = if (POSSIBLE_DEG[0]..=POSSIBLE_DEG[1]).contains(&phi) { 0.0 } else { 100.0 };
             let few = 2.0 - (lengths[first] + lengths[second]) / usual.max(1e-9);
             let cost =
@@ -117,7 +118,8 @@ fn line_length_px(image: &Micrograph) -> f64 {
         image.clone()
     } else {
         let mean = |row: usize, column: usize| {
-            let block = image.pixels.slice(ndarray::s![row * step..(row + 1) * step, column * step..(column + 1) * step]);
+            let block =
+                image.pixels.slice(ndarray::s![row * step..(row + 1) * step, column * step..(column + 1) * step]);
             block.mean().unwrap_or(0.0)
         };
         let shape = (image.height() / step, image.width() / step);

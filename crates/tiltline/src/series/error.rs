@@ -68,7 +68,9 @@ pub enum SeriesError {
         tilt_deg: f64,
     },
     /// Images of several sizes.
-    #[error("{first} is {first_size} and {other} is {other_size}; the views of a series need one size: crop or pad them")]
+    #[error(
+        "{first} is {first_size} and {other} is {other_size}; the views of a series need one size: crop or pad them"
+    )]
     Sizes {
         /// The first image.
         first: String,

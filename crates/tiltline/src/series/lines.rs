@@ -144,7 +144,9 @@ impl LineIndex {
         // From the nearest point outwards, on both sides in turn.
         let walk = 2 * reach_px.ceil() as usize + 2;
         let mut found: Option<(usize, f64)> = None;
-        for start in (near.point.saturating_sub(walk)..(near.point + walk).min(points.len() - 1)).filter(|at| at + 1 < points.len()) {
+        for start in (near.point.saturating_sub(walk)..(near.point + walk).min(points.len() - 1))
+            .filter(|at| at + 1 < points.len())
+        {
             let (a, b) = (along(start), along(start + 1));
             if a * b > 0.0 || a == b {
                 continue;

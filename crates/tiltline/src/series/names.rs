@@ -143,7 +143,9 @@ mod tests {
         assert_eq!((table["a.tif"], table["b.tif"]), (-2.0, 2.5));
         assert_eq!(parse_table("b.tif;4\n", path).unwrap()["b.tif"], 4.0);
         assert_eq!(parse_table("angle,exposure,image\n3,1.0,c.tif\n", path).unwrap()["c.tif"], 3.0);
-        for (text, word) in [("a.tif\n", "FILE,TILT"), ("a,1\na,2\n", "twice"), ("a,x\nb,200\n", "no tilt"), ("", "no row")] {
+        for (text, word) in
+            [("a.tif\n", "FILE,TILT"), ("a,1\na,2\n", "twice"), ("a,x\nb,200\n", "no tilt"), ("", "no row")]
+        {
             let message = parse_table(text, path).unwrap_err().to_string();
             assert!(message.contains(word) && message.contains("tilts.csv"), "{message}");
         }

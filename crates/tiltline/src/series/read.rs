@@ -5,9 +5,9 @@
 
 use std::path::Path;
 
+use super::SeriesError;
 use super::evenness::{SAME_TILT_DEG, tilt_notes, usual_step_deg};
 use super::names::{parse_table, tilts_of_names};
-use super::SeriesError;
 use crate::io::{Header, ReadOptions, open, parse_tilts, read_micrograph_with};
 use crate::micrograph::{Micrograph, Source};
 use crate::progress::Stage;
@@ -63,7 +63,11 @@ impl Series {
     /// # Ok::<(), tiltline::series::SeriesError>(())
     /// ```
     pub fn open(path: &str, tilts: Option<&str>, options: &ReadOptions) -> Result<Self, SeriesError> {
-        if Path::new(path).is_dir() { Self::of_folder(path, tilts, options) } else { Self::of_stack(path, tilts, options) }
+        if Path::new(path).is_dir() {
+            Self::of_folder(path, tilts, options)
+        } else {
+            Self::of_stack(path, tilts, options)
+        }
     }
 
     fn of_stack(path: &str, tilts: Option<&str>, options: &ReadOptions) -> Result<Self, SeriesError> {
@@ -106,8 +110,10 @@ impl Series {
         if names.len() < 2 {
             return Err(SeriesError::TooFewViews { path: path.to_owned(), views: names.len() });
         }
-        let own: Option<Vec<f64>> =
-            headers.iter().map(|header| header.tilts_deg.as_ref().and_then(|found| found.value.first().copied())).collect();
+        let own: Option<Vec<f64>> = headers
+            .iter()
+            .map(|header| header.tilts_deg.as_ref().and_then(|found| found.value.first().copied()))
+            .collect();
         let table = |file: &Path| tilts_of_table(file, &names);
         let (tilts_deg, from) = match tilts {
             Some(text) if text.to_lowercase().ends_with(".csv") => (table(Path::new(text))?, text.to_owned()),
@@ -280,7 +286,8 @@ fn tilts_of_table(file: &Path, names: &[String]) -> Result<Vec<f64>, SeriesError
             // Tables often name the files with their folders.
             table.iter().find(|(row, _)| row.rsplit(['/', '\\']).next() == Some(name)).map(|(_, tilt)| tilt)
         });
-        row.copied().ok_or_else(|| fault(format!("the image {name} is not in it; add a row, or take it out of the folder")))
+        row.copied()
+            .ok_or_else(|| fault(format!("the image {name} is not in it; add a row, or take it out of the folder")))
     };
     names.iter().map(tilt).collect()
 }

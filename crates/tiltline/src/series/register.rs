@@ -74,7 +74,8 @@ pub fn register(
     let mut best = (score(&few, start, &map, NEAR_PX[0]), *start);
     let shifts = |step: f64, reach: f64| {
         let count = (reach / step).ceil() as i32;
-        (-count..=count).flat_map(move |y| (-count..=count).map(move |x| Vector2::new(f64::from(x), f64::from(y)) * step))
+        (-count..=count)
+            .flat_map(move |y| (-count..=count).map(move |x| Vector2::new(f64::from(x), f64::from(y)) * step))
     };
     for turn in TURNS_DEG {
         for shift in shifts(SHIFT_STEP_PX[0], search_px) {
@@ -110,7 +111,8 @@ fn thinned<T: Copy>(points: &[T], most: usize) -> Vec<T> {
 
 /// Mean of the projected points: what turns and changes of magnification leave in place.
 fn pivot(points: &[(Point3, Vector3)], pose: &ViewPose) -> Option<Point2> {
-    let sum = points.iter().fold(Vector2::zeros(), |sum, (point, _)| sum + project_at_tilt(point, pose.tilt_rad).coords);
+    let sum =
+        points.iter().fold(Vector2::zeros(), |sum, (point, _)| sum + project_at_tilt(point, pose.tilt_rad).coords);
     (!points.is_empty()).then(|| Point2::from(sum / points.len() as f64))
 }
 

@@ -6,8 +6,8 @@
 //! view, which no microscope avoids, are not counted.
 
 use super::{
-    AlignedSeries, Checks, LineIndex, Registration, SavedCurve, SavedCurves, Series, SeriesError, ViewLines, ViewPose, checks,
-    register,
+    AlignedSeries, Checks, LineIndex, Registration, SavedCurve, SavedCurves, Series, SeriesError, ViewLines, ViewPose,
+    checks, register,
 };
 use crate::geometry::Point2;
 use crate::progress::Stage;
@@ -167,7 +167,13 @@ fn pair_views(curves: &SavedCurves, series: &Series, warnings: &mut Vec<Warning>
 }
 
 /// Where the pose of a view is expected: turn and magnification of the nearest known view, shift by the alignment.
-fn start(view: usize, known: &[(usize, ViewPose)], curves: &SavedCurves, aligned: &AlignedSeries, tilt: f64) -> ViewPose {
+fn start(
+    view: usize,
+    known: &[(usize, ViewPose)],
+    curves: &SavedCurves,
+    aligned: &AlignedSeries,
+    tilt: f64,
+) -> ViewPose {
     let nearest = known.iter().min_by(|(_, a), (_, b)| (a.tilt_rad - tilt).abs().total_cmp(&(b.tilt_rad - tilt).abs()));
     let Some(&(other, pose)) = nearest else {
         return ViewPose { tilt_rad: tilt, ..curves.poses[0] };

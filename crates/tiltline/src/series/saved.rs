@@ -98,7 +98,9 @@ impl File {
             let words = curve.points.get("flag").and_then(Value::as_array).map(Vec::as_slice).unwrap_or_default();
             let flags: Vec<Flag> = words.iter().filter_map(|word| flag(word.as_str()?)).collect();
             if [y.len(), z.len(), flags.len(), sigma_z.len()] != [x.len(); 4] || x.len() < 2 {
-                return Err(format!("curve {index} has columns of different length, an unknown flag or too few points"));
+                return Err(format!(
+                    "curve {index} has columns of different length, an unknown flag or too few points"
+                ));
             }
             let point = |at: usize| Point3::new(x[at] / pixel, y[at] / pixel, sign * z[at] / pixel);
             let sigma_z = sigma_z.iter().map(|sigma| sigma / pixel).collect();

@@ -1,13 +1,15 @@
 //! From a pair's result to one of all views, and back into the form that a pair's result has: rectified images, disparities and
 //! depths of the pair, now with the poses and curves that all views agree on. So every output and measure stays what it is.
 
+use super::grow::extended;
+use super::more::{new_curves, other_pairs};
 use super::{FitSettings, FittedCurve, Grown, StartCurve, grow};
 use crate::curve::{Flag, MatchedCurve, MatchedPoint, TraceEnd, TraceGraph};
 use crate::geometry::{Point2, Point3, Similarity2, TiltPair, Vector2, project_at_tilt};
 use crate::matching::unmatched_lines;
 use crate::measure::measure;
 use crate::micrograph::View;
-use crate::pipeline::Detect;
+use crate::pipeline::{Detect, Match};
 use crate::progress::Stage;
 use crate::reconstruction::Reconstruction;
 use crate::rectify::RectifiedPair;
@@ -20,6 +22,8 @@ use crate::warning::Warning;
 
 /// Curves found in a smaller share of the places of other views are wrong matches, and are taken out.
 const LEAST_SUPPORT: f64 = 0.2;
+/// Curves that the pair did not show must be found in this share: they have no more than chance behind them.
+const LEAST_SUPPORT_OF_NEW: f64 = 0.5;
 /// So many views beside the pair are needed to say so.
 const LEAST_OTHERS: usize = 3;
 /// Points on lines of so many views are measured.
@@ -50,6 +54,7 @@ pub fn reconstruct_series(
     series: &Series,
     aligned: &AlignedSeries,
     detector: &dyn Detect,
+    matcher: &dyn Match,
     settings: &Settings,
     fit: &FitSettings,
     lines_of: &mut dyn FnMut(usize) -> Result<ViewLines, SeriesError>,
@@ -57,7 +62,17 @@ pub fn reconstruct_series(
     let poses = saved::poses(&result.rectified.rectification, result.pair.tilts, &result.frame);
     let start = start_curves(&result);
     let starts = [(pair[0], poses[0]), (pair[1], poses[1])];
-    let grown = grow(&start, starts, series, aligned, fit, lines_of)?;
+    let mut grown = grow(&start, starts, series, aligned, fit, lines_of)?;
+    // Lines that this pair does not show, from pairs about other tilts.
+    let mut known: Vec<StartCurve> = grown.curves.iter().map(FittedCurve::as_start).collect();
+    let first = known.len();
+    for [left, right] in other_pairs(&grown.views) {
+        let views = [&grown.views[left], &grown.views[right]];
+        known.extend(new_curves(views, &known, series, detector, matcher, settings)?);
+    }
+    if known.len() > first {
+        grown = extended(grown, &known[first..], fit);
+    }
     let refined = refined(&grown, series, aligned, &result);
     let reconstruction = in_pair_form(result, &grown, series, detector, settings);
     Ok(SeriesFit { reconstruction, grown, refined })
@@ -136,12 +151,13 @@ fn in_pair_form(
     result.lines = View::BOTH.map(|view| detector.detect(&result.rectified, view));
     result.traces = [0, 1].map(|view| trace(&result.lines[view], &settings.trace));
 
-    let (kept, out) = kept(grown);
+    let (kept, out) = kept(grown, result.matched.len());
     let depth_gain = tilts.depth_gain().abs();
     let in_left = |point: &Point3| project_at_tilt(point, left.tilt_rad) + grid.shift;
     let in_right = |point: &Point3| project_at_tilt(point, right.tilt_rad) + grid.shift;
     let matched = kept.iter().map(|&index| {
-        let (curve, old) = (&grown.curves[index], &result.matched[index]);
+        // None for a curve that another pair shows.
+        let (curve, old) = (&grown.curves[index], result.matched.get(index));
         let [on_left, on_right]: [Vec<Point2>; 2] =
             [curve.points.iter().map(in_left).collect(), curve.points.iter().map(in_right).collect()];
         let points = (0..curve.points.len()).map(|at| MatchedPoint {
@@ -150,15 +166,19 @@ fn in_pair_form(
             tangent_right: Some(tangent(&on_right, at)),
             disparity_px: on_right[at].x - on_left[at].x,
             sigma_px: curve.sigma_z[at] / depth_gain,
-            flag: flag(curve, at, old.points[at].flag, &grown.views),
+            flag: flag(curve, at, old.map_or(Flag::Bridged, |old| old.points[at].flag), &grown.views),
         });
         let points: Vec<MatchedPoint> = points.collect();
         let left_trace = nearest_trace(&points, &result.traces[0]).unwrap_or(0);
         let (first, last) = (points[0].left, points[points.len() - 1].left);
-        let ends = [(old.ends[0], first), (old.ends[1], last)].map(|(end, place)| at_junction(end, &place, &result.traces[0]));
-        MatchedCurve { left_trace, points, closed: old.closed, ends }
+        let ends = old.map_or([TraceEnd::Free; 2], |old| old.ends);
+        let ends = [(ends[0], first), (ends[1], last)].map(|(end, place)| at_junction(end, &place, &result.traces[0]));
+        MatchedCurve { left_trace, points, closed: curve.closed, ends }
     });
-    result.matched = matched.collect();
+    let matched: Vec<MatchedCurve> = matched.collect();
+    let of_pair = result.matched.len();
+    let added = kept.iter().filter(|index| **index >= of_pair).count();
+    result.matched = matched;
     // An error of the tilts scales depths by less the further the views are apart.
     let spread: f64 = grown.views.iter().map(|view| view.pose.tilt_rad.powi(2)).sum::<f64>().sqrt();
     let sigma_rad = settings.measure.tilt_sigma_deg.to_radians() / std::f64::consts::SQRT_2;
@@ -171,18 +191,21 @@ fn in_pair_form(
     // What was measured on the pair alone is measured anew.
     result.warnings.retain(|warning| warning.stage != Stage::Measure);
     result.warnings.extend(doubts);
-    result.warnings.extend(warnings(grown, series, &out));
+    let out = out.iter().filter(|index| **index < of_pair).count();
+    result.warnings.extend(warnings(grown, series, [out, added, of_pair]));
     result
 }
 
-/// Curves that other views support, and those that they do not.
-fn kept(grown: &Grown) -> (Vec<usize>, Vec<usize>) {
+/// Curves that other views support, and those that they do not; the first `of_pair` are those of the pair.
+fn kept(grown: &Grown, of_pair: usize) -> (Vec<usize>, Vec<usize>) {
     let others = grown.views.len() - 2;
-    let supported = |index: &usize| others < LEAST_OTHERS || grown.curves[*index].support >= LEAST_SUPPORT;
+    let least = |index: usize| if index < of_pair { LEAST_SUPPORT } else { LEAST_SUPPORT_OF_NEW };
+    let supported =
+        |index: &usize| (others < LEAST_OTHERS && *index < of_pair) || grown.curves[*index].support >= least(*index);
     (0..grown.curves.len()).partition(supported)
 }
 
-fn warnings(grown: &Grown, series: &Series, out: &[usize]) -> Vec<Warning> {
+fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3]) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if !grown.left_out.is_empty() {
         let mut tilts: Vec<f64> = grown.left_out.iter().map(|view| series.views[*view].tilt_deg).collect();
@@ -196,12 +219,17 @@ fn warnings(grown: &Grown, series: &Series, out: &[usize]) -> Vec<Warning> {
         );
         warnings.push(Warning::new(Stage::Refine, message));
     }
-    if !out.is_empty() {
+    if added > 0 {
+        let message =
+            format!("{added} curves were added that the pair does not show, from pairs of views about other tilts");
+        warnings.push(Warning::new(Stage::Match, message));
+    }
+    if out > 0 {
         let message = format!(
             "{} of {} curves of the pair were taken out as wrong matches: in the other views less than {:.0} % of them lies on a \
              line (lines.csv has their lines)",
-            out.len(),
-            grown.curves.len(),
+            out,
+            of_pair,
             100.0 * LEAST_SUPPORT
         );
         warnings.push(Warning::new(Stage::Refine, message));

@@ -71,13 +71,27 @@ pub fn grow(
         problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
     }
     problem.run(settings.rounds, [settings.reach_px; 2], settings);
+    Ok(finished(problem, left_out, settings))
+}
+
+/// Fits the same views again, with further curves behind those that were fitted before.
+pub(super) fn extended(before: Grown, further: &[StartCurve], settings: &FitSettings) -> Grown {
+    let mut curves: Vec<StartCurve> = before.curves.iter().map(FittedCurve::as_start).collect();
+    curves.extend_from_slice(further);
+    let mut problem = Problem::new(&curves, before.views, settings);
+    problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
+    problem.run(settings.rounds, [settings.reach_px; 2], settings);
+    finished(problem, before.left_out, settings)
+}
+
+fn finished(mut problem: Problem, left_out: Vec<usize>, settings: &FitSettings) -> Grown {
     let curves = problem.fitted(settings.reach_px);
     let tilt_sigma_rad = match &problem.step {
         Some(step) => (0..problem.views.len()).map(|view| step.view_variance(view, 4).sqrt()).collect(),
         None => vec![settings.tilt_sigma_deg.to_radians(); problem.views.len()],
     };
     let noise = problem.noise.iter().map(|noise| noise.0).collect();
-    Ok(Grown { curves, views: problem.views, noise, tilt_sigma_rad, left_out })
+    Grown { curves, views: problem.views, noise, tilt_sigma_rad, left_out }
 }
 
 /// Where a view is expected: as its nearest neighbour in the fit, moved by the alignment of the series.

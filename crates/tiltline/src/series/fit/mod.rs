@@ -8,6 +8,7 @@
 
 mod frame;
 mod grow;
+mod more;
 mod observe;
 mod solve;
 mod spline;
@@ -106,8 +107,18 @@ pub struct FittedCurve {
     pub sigma_z: Vec<f64>,
     /// In how many views each point lies on a line.
     pub seen: Vec<usize>,
+    /// Whether the last point joins the first.
+    pub closed: bool,
     /// Share of the places in the images of views at which a line is found, over the views that are not of the pair; 0 without.
     pub support: f64,
+}
+
+impl FittedCurve {
+    /// The curve as the start of another fit.
+    fn as_start(&self) -> StartCurve {
+        let sigma_z = self.sigma_z.iter().map(|sigma| sigma.min(100.0)).collect();
+        StartCurve { points: self.points.clone(), sigma_z, closed: self.closed }
+    }
 }
 
 /// Curves and poses while they are fitted.
@@ -211,7 +222,7 @@ impl Problem {
                 step.variance(index, &at(place), &Vector3::z())
             };
             let sigma_z = sampled.points.iter().map(|place| variance(place).map_or(f64::INFINITY, f64::sqrt)).collect();
-            FittedCurve { points, sigma_z, seen: seen[index].0.clone(), support: seen[index].1 }
+            FittedCurve { points, sigma_z, seen: seen[index].0.clone(), closed: sampled.closed, support: seen[index].1 }
         };
         self.splines.iter().enumerate().map(curve).collect()
     }

@@ -40,6 +40,8 @@ pub(super) struct Sampled {
     pub places: Vec<f64>,
     /// Places of the points that it was made from.
     pub points: Vec<f64>,
+    /// Whether it joins itself.
+    pub closed: bool,
     weights: Vec<Weights>,
     spacing_px: f64,
 }
@@ -51,7 +53,7 @@ impl Sampled {
         let last = if closed { count } else { count - 1 };
         let places: Vec<f64> = (0..count).map(|at| at as f64 * length_px / last as f64).collect();
         let weights = places.iter().map(|place| spline.basis.at(*place)).collect();
-        Self { spline, places, points, weights, spacing_px: length_px / last as f64 }
+        Self { spline, places, points, closed, weights, spacing_px: length_px / last as f64 }
     }
 }
 
@@ -140,13 +142,8 @@ fn observe_curve(sampled: &Sampled, views: &[FitView], reach_px: f64) -> Vec<Obs
             let [point, ..] = sampled.spline.at(weights);
             let arm = landed - origin;
             let tilted = view.pose.image_from_projection * Vector2::new(point.z * cos - point.x * sin, 0.0);
-            let per_view: [f64; PER_VIEW] = [
-                normal.x,
-                normal.y,
-                normal.dot(&Vector2::new(-arm.y, arm.x)),
-                normal.dot(&arm),
-                normal.dot(&tilted),
-            ];
+            let per_view: [f64; PER_VIEW] =
+                [normal.x, normal.y, normal.dot(&Vector2::new(-arm.y, arm.x)), normal.dot(&arm), normal.dot(&tilted)];
             let per_point: Vector3 = rows[0] * normal.x + rows[1] * normal.y;
             let weight = 1.0 / sigma_px.max(LEAST_SIGMA_PX).powi(2);
             observations.push(Observation { view: index, weights: *weights, per_point, per_view, offset_px, weight });

@@ -116,9 +116,8 @@ impl Spline {
 
     /// Point, derivative and second derivative at a place.
     pub fn at(&self, weights: &Weights) -> [Vector3; 3] {
-        [weights.value, weights.first, weights.second].map(|shares| {
-            (0..4).fold(Vector3::zeros(), |sum, k| sum + self.controls[weights.index[k]] * shares[k])
-        })
+        [weights.value, weights.first, weights.second]
+            .map(|shares| (0..4).fold(Vector3::zeros(), |sum, k| sum + self.controls[weights.index[k]] * shares[k]))
     }
 
     /// Two unit vectors across the curve at each control point: the second as near to the beam as can be.

@@ -58,10 +58,16 @@ fn noisy_lines(curves: &[Vec<Point3>], pose: &ViewPose, rng: &mut Pcg64) -> View
 fn views(tilts_deg: &[f64], off: f64, seed: u64) -> (Vec<ViewPose>, Vec<FitView>) {
     let curves = curves();
     let mut rng = Pcg64::seed_from_u64(seed);
-    let truth: Vec<ViewPose> = tilts_deg.iter().enumerate().map(|(at, tilt)| true_pose(at, tilts_deg.len(), *tilt, off)).collect();
+    let truth: Vec<ViewPose> =
+        tilts_deg.iter().enumerate().map(|(at, tilt)| true_pose(at, tilts_deg.len(), *tilt, off)).collect();
     let views = truth.iter().zip(tilts_deg).enumerate().map(|(at, (pose, tilt))| {
         let lines = LineIndex::new(noisy_lines(&curves, pose, &mut rng));
-        let near = ViewPose::new(tilt.to_radians(), 0.0, 1.0, pose.origin() + Vector2::new(0.4, -0.3) * (off * (at % 3) as f64));
+        let near = ViewPose::new(
+            tilt.to_radians(),
+            0.0,
+            1.0,
+            pose.origin() + Vector2::new(0.4, -0.3) * (off * (at % 3) as f64),
+        );
         FitView::new(at, near, lines)
     });
     let views = views.collect();
@@ -72,7 +78,8 @@ fn views(tilts_deg: &[f64], off: f64, seed: u64) -> (Vec<ViewPose>, Vec<FitView>
 fn starts(error_px: f64) -> Vec<StartCurve> {
     let start = |(index, curve): (usize, Vec<Point3>)| {
         let wave = |at: usize| error_px * (0.04 * at as f64 + index as f64).sin();
-        let points = curve.iter().enumerate().map(|(at, point)| Point3::new(point.x, point.y, point.z + wave(at))).collect();
+        let points =
+            curve.iter().enumerate().map(|(at, point)| Point3::new(point.x, point.y, point.z + wave(at))).collect();
         StartCurve { points, sigma_z: vec![error_px.max(1.0); curve.len()], closed: false }
     };
     curves().into_iter().enumerate().map(start).collect()
@@ -95,13 +102,6 @@ fn depth_errors(fitted: &[FittedCurve]) -> (f64, f64) {
         }
     }
     let mean = off.iter().sum::<f64>() / off.len() as f64;
-    if std::env::var("FIT_DEBUG").is_ok() {
-        for chunk in off.chunks(truth[0].len()) {
-            let (a, b, c) = (chunk[5], chunk[chunk.len() / 2], chunk[chunk.len() - 5]);
-            let r = (chunk.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / chunk.len() as f64).sqrt();
-            println!("  {r:.3}: {:.2} {:.2} {:.2} ({:?})", a - mean, b - mean, c - mean, chunk.iter().map(|v| ((v - mean) * 10.0).round() / 10.0).step_by(25).collect::<Vec<_>>());
-        }
-    }
     let rms = |values: &mut dyn Iterator<Item = f64>| {
         let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
         (sum / f64::from(count)).sqrt()
@@ -119,14 +119,13 @@ fn bound(tilts_deg: &[f64]) -> f64 {
     SIGMA_X * matrix.try_inverse().unwrap()[(1, 1)].sqrt()
 }
 
-fn fitted(tilts_deg: &[f64], off: f64, error_px: f64, seed: u64) -> (Problem, Vec<FittedCurve>) {
+fn fitted(tilts_deg: &[f64], off: f64, error_px: f64, seed: u64) -> Vec<FittedCurve> {
     let settings = FitSettings::default();
     let (_, views) = views(tilts_deg, off, seed);
     let mut problem = Problem::new(&starts(error_px), views, &settings);
     problem.run(6, [6.0, 3.0], &settings);
     problem.run(10, [3.0, 3.0], &settings);
-    let fitted = problem.fitted(3.0);
-    (problem, fitted)
+    problem.fitted(3.0)
 }
 
 /// The pair first, then the others, as the fit has them.
@@ -134,9 +133,8 @@ fn tilts(count: usize) -> Vec<f64> {
     let step = if count == 3 { 4.0 } else { 88.0 / (count - 1) as f64 };
     let half = (count as f64 - 1.0) / 2.0;
     let all: Vec<f64> = (0..count).map(|at| (at as f64 - half) * step).collect();
-    let near = |wanted: f64| {
-        (0..count).min_by(|&a, &b| (all[a] - wanted).abs().total_cmp(&(all[b] - wanted).abs())).unwrap()
-    };
+    let near =
+        |wanted: f64| (0..count).min_by(|&a, &b| (all[a] - wanted).abs().total_cmp(&(all[b] - wanted).abs())).unwrap();
     let pair = [near(-4.0), near(4.0)];
     let pair = if pair[0] == pair[1] { [pair[0], pair[0] + 1] } else { pair };
     let others = (0..count).filter(|at| !pair.contains(at));
@@ -147,15 +145,47 @@ fn tilts(count: usize) -> Vec<f64> {
 fn depths_reach_the_bound_at_3_9_and_45_views() {
     for count in [3, 9, 45] {
         let tilts = tilts(count);
-        let (rms, sigma) = depth_errors(&fitted(&tilts, 1.0, 4.0, 7).1);
+        let (rms, stated) = depth_errors(&fitted(&tilts, 1.0, 4.0, 7));
         let bound = bound(&tilts);
-        let mut problem = fitted(&tilts, 1.0, 4.0, 7).0;
-        let (truth, _) = views(&tilts, 1.0, 7);
-        for (view, truth) in problem.views.iter().zip(&truth) {
-            println!("   tilt {:.4} {:.4} turn {:.4} {:.4} scale {:.5} {:.5}", (view.pose.tilt_rad - view.nominal_rad).to_degrees(), (truth.tilt_rad - view.nominal_rad).to_degrees(), view.pose.axis_rad().to_degrees(), truth.axis_rad().to_degrees(), view.pose.scale(), truth.scale());
-        }
-        problem.noise.iter().for_each(|n| print!("{:.2} ", n.0));
-        println!("{count} views: error {rms:.3} px, stated {sigma:.3} px, bound {bound:.3} px");
-        if std::env::var("FIT_DEBUG").is_err() { assert!(rms < 1.5 * bound, "{count} views: {rms} px, bound {bound} px"); }
+        assert!(rms < 1.5 * bound, "{count} views: {rms} px, bound {bound} px");
+        // The stated sigma is neither boast nor excuse: errors of tracing are taken to be alike over some px, and are independent here.
+        assert!((0.5..3.0).contains(&(stated / rms)), "{count} views: {rms} px, stated {stated} px");
     }
+}
+
+/// Physical argument, not a round trip: what lies behind mid-foil (Z > 0) moves to larger x as the tilt grows. Lines are drawn by that
+/// rule alone, and the fit starts from flat curves.
+#[test]
+fn a_line_that_moves_to_larger_x_as_the_tilt_grows_lies_behind() {
+    let depths = [-40.0, 0.0, 40.0];
+    let line = |tilt: f64, k: usize| {
+        let x = |y: f64| (120.0 * (k as f64 - 1.0) + 0.2 * y) * tilt.cos() + depths[k] * tilt.sin();
+        let point = |y: f64| TracePoint {
+            position: Point2::new(255.5 + x(y - 255.5), y),
+            tangent: Vector2::new(0.2, 1.0).normalize(),
+            probability: 1.0,
+            sigma_perp_px: 0.2,
+        };
+        Trace { points: (100..400).map(|y| point(f64::from(y))).collect(), closed: false, ends: [TraceEnd::Free; 2] }
+    };
+    let view = |(index, tilt_deg): (usize, f64)| {
+        let tilt = tilt_deg.to_radians();
+        let traces = (0..3).map(|k| line(tilt, k)).collect();
+        let lines = ViewLines { traces: TraceGraph { traces, junctions: Vec::new() }, shape: SHAPE };
+        let pose = ViewPose::new(tilt, 0.0, 1.0, Point2::new(255.5, 255.5));
+        FitView::new(index, pose, LineIndex::new(lines))
+    };
+    let views = [-4.0, 4.0, -8.0, 0.0, 8.0].into_iter().enumerate().map(view).collect();
+    let start = |k: usize| StartCurve {
+        points: (-100..100)
+            .map(|y| Point3::new(120.0 * (k as f64 - 1.0) + 0.2 * f64::from(y), f64::from(y), 0.0))
+            .collect(),
+        sigma_z: vec![30.0; 200],
+        closed: false,
+    };
+    let settings = FitSettings { scale_sigma: 1e-4, ..FitSettings::default() };
+    let mut problem = Problem::new(&[0, 1, 2].map(start), views, &settings);
+    problem.run(12, [8.0, 3.0], &settings);
+    let depth = problem.fitted(3.0).iter().map(|curve| curve.points[100].z).collect::<Vec<_>>();
+    assert!((depth[2] - depth[1] - 40.0).abs() < 4.0 && (depth[1] - depth[0] - 40.0).abs() < 4.0, "{depth:?}");
 }
