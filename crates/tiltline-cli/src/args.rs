@@ -21,8 +21,10 @@ const EXIT_CODES: &str = "Exit codes: 0 done (perhaps with warnings), 1 failed, 
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Reconstruct the 3D curves of a stereo pair.
+    /// Reconstruct the 3D curves of a stereo pair, or of a tilt series.
     Reconstruct(Box<Reconstruct>),
+    /// Re-project the curves of a result into the views of a tilt series, and measure how well they fit.
+    Reproject(Box<crate::reproject::Reproject>),
     /// Simulate micrographs of foils with exact truth: a data set.
     Simulate(Box<crate::simulate::Simulate>),
     /// Score a result against the truth, or a whole benchmark.
@@ -68,17 +70,22 @@ pub struct Report {
 /// Flags of `tiltline reconstruct`.
 #[derive(Debug, Args)]
 pub struct Reconstruct {
-    /// First image (PNG, TIFF, MRC); FILE#k takes page or section k of a stack, counted from 0.
+    /// First image (PNG, TIFF, MRC); FILE#k takes page or section k of a stack, counted from 0. Alone: a tilt series, a stack
+    /// with its tilts or a folder of images.
+    #[arg(value_name = "LEFT|SERIES")]
     pub left: String,
     /// Second image, at another tilt.
-    pub right: String,
+    pub right: Option<String>,
     /// Folder for the results.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: PathBuf,
-    /// Tilts of left and right in degrees: LIST (-4,4), START:END:STEP, or a FILE (.tlt, .rawtlt, .mdoc)
-    /// of two tilts.
+    /// Tilts in degrees, of left and right or of every view of a series: LIST (-4,4), START:END:STEP, or a FILE (.tlt, .rawtlt,
+    /// .mdoc; for a folder also a .csv of file and tilt).
     #[arg(long, value_name = "LIST|START:END:STEP|FILE", allow_hyphen_values = true)]
     pub tilts: Option<String>,
+    /// Of a series, the two views that are reconstructed, by their angles (-4,4; the nearest views are taken), or auto.
+    #[arg(long, value_name = "LEFT,RIGHT|auto", allow_hyphen_values = true, conflicts_with = "right")]
+    pub pair: Option<String>,
     /// Side of a pixel of the left image, with its unit: 1.2nm, 3.4A, 0.001um. Overrides the files'.
     #[arg(long, value_name = "SIZE")]
     pub pixel_size: Option<PixelSize>,

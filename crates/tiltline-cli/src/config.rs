@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use tiltline::settings::Settings;
 
 use crate::method::MethodSettings;
+use crate::series::SeriesRecord;
 
 /// What is known about the pair beside its pixels.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -16,6 +17,9 @@ pub struct Acquisition {
     /// Tilts of left and right in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tilts_deg: Option<[f64; 2]>,
+    /// Of a tilt series: whether the pair alone is reconstructed, and the other views are left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pair_only: Option<bool>,
     /// Side of a pixel of the left image in nm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pixel_size_nm: Option<f64>,
@@ -73,6 +77,9 @@ pub struct RunRecord {
     pub left: tiltline::micrograph::Source,
     /// Path and SHA-256 of the right file.
     pub right: tiltline::micrograph::Source,
+    /// The series the pair was taken from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub series: Option<SeriesRecord>,
     /// Seconds each stage took.
     pub seconds: BTreeMap<&'static str, f64>,
 }
@@ -113,6 +120,7 @@ mod tests {
             matcher: "classical".into(),
             left: source.clone(),
             right: source,
+            series: None,
             seconds: BTreeMap::from([("read", 0.25)]),
         };
         let text = run_toml(&config, &record).unwrap();

@@ -95,14 +95,22 @@ pub fn write_file(path: &Path, fill: impl FnOnce(&mut std::fs::File) -> Result<(
     Ok(())
 }
 
-/// [`export::write_all`], with its temporary folder known to the handler while it is being filled.
-pub fn write_all(result: &Reconstruction, extra: &[(&str, Vec<u8>)], folder: &Path, force: bool) -> Result<()> {
+/// Files that `fill` writes (and names), into a folder: all of them or none.
+pub fn write_folder(folder: &Path, force: bool, fill: impl FnOnce(&Staging) -> Result<Vec<String>>) -> Result<()> {
     let lock = || WRITING.lock().expect("no thread panics while it holds the lock");
     let staging = Staging::begin(folder, force).into_diagnostic()?;
     *lock() = Writing::Filling(staging.path().to_owned());
-    let names = export::fill(result, extra, &staging).into_diagnostic()?;
+    let names = fill(&staging)?;
     let mut writing = lock();
-    staging.commit(names.into_iter()).into_diagnostic()?;
+    staging.commit(names.iter().map(String::as_str)).into_diagnostic()?;
     *writing = Writing::Done;
     Ok(())
+}
+
+/// [`export::write_all`], with its temporary folder known to the handler while it is being filled.
+pub fn write_all(result: &Reconstruction, extra: &[(&str, Vec<u8>)], folder: &Path, force: bool) -> Result<()> {
+    write_folder(folder, force, |staging| {
+        let names = export::fill(result, extra, staging).into_diagnostic()?;
+        Ok(names.into_iter().map(str::to_owned).collect())
+    })
 }

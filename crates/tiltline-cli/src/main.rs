@@ -13,7 +13,9 @@ mod progress;
 mod quantity;
 mod reconstruct;
 mod report;
+mod reproject;
 mod score;
+mod series;
 mod simulate;
 mod summary;
 mod tomography;
@@ -40,6 +42,7 @@ fn main() -> ExitCode {
 fn run(cli: Cli) -> Result<()> {
     match cli.command {
         Command::Reconstruct(flags) => reconstruct::run(&flags),
+        Command::Reproject(flags) => reproject::run(&flags),
         Command::Simulate(flags) => simulate::run(&flags),
         Command::Score(flags) => score::run(&flags),
         Command::Bench(flags) => bench::run(&flags),

@@ -26,6 +26,7 @@ use crate::interrupt;
 use crate::method::{Detector, Stages};
 use crate::output;
 use crate::progress::Display;
+use crate::series::Chosen;
 use crate::summary::{Provenance, Summary};
 
 /// Runs the command.
@@ -33,9 +34,15 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
     let mut config = resolve(flags)?;
     export::check_target(&flags.output, flags.force).into_diagnostic()?;
     let display = Display::new(flags.verbosity);
-    let images = [flags.left.as_str(), &flags.right];
     let stages = Stages::new(&config.method, &config.settings, None)?;
-    let summary = reconstruct(images, &mut config, &stages, &flags.output, flags.force, &|event| display.show(event))?;
+    let show = |event: &Event| display.show(event);
+    let summary = match &flags.right {
+        Some(right) => reconstruct([&flags.left, right], &mut config, &stages, &flags.output, flags.force, &show)?,
+        None => {
+            let chosen = Chosen::open(flags, &mut config)?;
+            of_series(&chosen, &mut config, &stages, &flags.output, flags.force, &show)?
+        }
+    };
     display.clear();
     if flags.json {
         output::print(&(serde_json::to_string_pretty(&summary).into_diagnostic()? + "\n"))
@@ -47,6 +54,33 @@ pub fn run(flags: &Reconstruct) -> Result<()> {
 /// Reads a pair, reconstructs it and writes the folder; what the images' files say goes into the settings.
 pub fn reconstruct(
     images: [&str; 2],
+    config: &mut Config,
+    stages: &Stages,
+    output: &Path,
+    force: bool,
+    show: &(dyn Fn(&Event) + Sync),
+) -> Result<Summary> {
+    reconstruct_views(images, None, config, stages, output, force, show)
+}
+
+/// Reconstructs the pair that was picked from a series.
+fn of_series(
+    chosen: &Chosen,
+    config: &mut Config,
+    stages: &Stages,
+    output: &Path,
+    force: bool,
+    show: &(dyn Fn(&Event) + Sync),
+) -> Result<Summary> {
+    let mut summary = reconstruct_views(chosen.images(), Some(chosen), config, stages, output, force, show)?;
+    summary.provenance.tilts_from.clone_from(&chosen.series.tilts_from);
+    summary.views = Some(chosen.pair.reason.clone());
+    Ok(summary)
+}
+
+fn reconstruct_views(
+    images: [&str; 2],
+    chosen: Option<&Chosen>,
     config: &mut Config,
     stages: &Stages,
     output: &Path,
@@ -72,8 +106,13 @@ pub fn reconstruct(
             pipeline::reconstruct_rectified(pair, rectified, Vec::new(), detector, matcher, settings, &progress)
         }
     };
+    warnings.extend(chosen.iter().flat_map(|chosen| chosen.series.warnings.clone()));
     warnings.append(&mut result.warnings);
     result.warnings = warnings;
+    let mut files = Vec::new();
+    if let Some(chosen) = chosen.filter(|chosen| !chosen.pair_only) {
+        (result, files) = timed(&progress, Stage::Refine, || chosen.fit(result, config, stages))?;
+    }
     let [left, right] = sources;
     let record = RunRecord {
         version: env!("CARGO_PKG_VERSION"),
@@ -81,13 +120,15 @@ pub fn reconstruct(
         matcher: stages.names[1].clone(),
         left,
         right,
+        series: chosen.map(Chosen::record),
         seconds: seconds.lock().expect("no thread panics while it holds the lock").clone(),
     };
     timed(&progress, Stage::Export, || {
         let run = run_toml(config, &record)?;
         let report = Report::new(&result, &run).and_then(|report| page::write(&report)).into_diagnostic()?;
-        let extra = [("report.html", report.into_bytes()), ("run.toml", run.into_bytes())];
-        interrupt::write_all(&result, &extra, output, force)
+        // The record comes last: it says that the rest is complete.
+        files.extend([("report.html", report.into_bytes()), ("run.toml", run.into_bytes())]);
+        interrupt::write_all(&result, &files, output, force)
     })?;
     Ok(Summary::of(&result, provenance))
 }
@@ -97,7 +138,8 @@ fn resolve(flags: &Reconstruct) -> Result<Config> {
     let mut config = method(&flags.method)?;
     config.settings.flip_depth |= flags.flip_depth;
     let acquisition = &mut config.acquisition;
-    if let Some(text) = &flags.tilts {
+    // Those of a series are one a view.
+    if let Some(text) = flags.tilts.as_ref().filter(|_| flags.right.is_some()) {
         let tilts = parse_tilts(text).unwrap_or_else(|error| wrong_usage(&format!("--tilts {text}: {error}")));
         let [left, right] = tilts[..] else {
             wrong_usage(&format!(

@@ -20,6 +20,9 @@ pub struct Summary {
     pub pixel_size_nm: Option<f64>,
     /// Tilts, and where they and the pixel size came from.
     pub provenance: Provenance,
+    /// Which views of a series were used, and why; absent for a pair of files.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub views: Option<String>,
     /// How the images were made to match.
     pub rectification: Rectification,
     /// Detected lines in the left and the right image.
@@ -93,6 +96,7 @@ impl Summary {
             unit: result.frame.unit,
             pixel_size_nm: result.pair.pixel_size_nm(),
             provenance,
+            views: None,
             rectification: result.rectified.rectification.clone(),
             lines: [0, 1].map(|view| count(&result.traces[view])),
             curves: result.curves.len(),
@@ -131,6 +135,9 @@ impl fmt::Display for Summary {
             (None, _) => "of unknown size: lengths are in px".into(),
         };
         row("pair", format!("tilts {left} and {right}\u{b0} ({tilts_from}); pixels {size}"))?;
+        if let Some(views) = &self.views {
+            row("views", views.clone())?;
+        }
         let r = &self.rectification;
         row(
             "rectification",

@@ -29,6 +29,7 @@ pub mod refine;
 pub mod report;
 pub mod ridge;
 pub mod score;
+pub mod series;
 pub mod settings;
 pub mod simulate;
 pub mod temporary;

@@ -9,6 +9,7 @@ use crate::measure::MeasureSettings;
 use crate::rectify::RectifySettings;
 use crate::refine::RefineSettings;
 use crate::ridge::RidgeSettings;
+use crate::series::FitSettings;
 use crate::trace::TraceSettings;
 
 /// Settings of `tiltline reconstruct`, a section a stage.
@@ -34,6 +35,8 @@ pub struct Settings {
     pub refine: RefineSettings,
     /// Lengths, thickness, density.
     pub measure: MeasureSettings,
+    /// The fit to all views of a tilt series.
+    pub series: FitSettings,
 }
 
 /// A setting that makes no sense.
@@ -71,6 +74,11 @@ impl Settings {
             ("trace.min_length_px", self.trace.min_length_px, not_negative, "0 or more"),
             ("match.max_disparity_px", self.matching.max_disparity_px, not_negative, "0 (from the images) or more"),
             ("refine.max_distance_px", self.refine.max_distance_px, not_negative, "0 or more"),
+            ("series.tilt_sigma_deg", self.series.tilt_sigma_deg, not_negative, "0 or more"),
+            ("series.turn_sigma_deg", self.series.turn_sigma_deg, not_negative, "0 or more"),
+            ("series.scale_sigma", self.series.scale_sigma, not_negative, "0 or more"),
+            ("series.roughness", self.series.roughness, positive, "more than 0"),
+            ("series.reach_px", self.series.reach_px, positive, "more than 0"),
             ("measure.tilt_sigma_deg", self.measure.tilt_sigma_deg, not_negative, "0 or more"),
         ];
         for (key, value, possible, wanted) in checks {

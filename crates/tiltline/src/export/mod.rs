@@ -12,10 +12,12 @@ pub mod overlay;
 pub mod paradis;
 pub mod ply;
 pub mod png;
+pub mod reprojection;
 mod staging;
 pub mod swc;
 pub mod tiff;
 pub mod vtp;
+pub mod xf;
 
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};

@@ -23,6 +23,7 @@ mod samples;
 pub mod tiff;
 mod tiff_calibration;
 pub mod tilts;
+pub mod xf;
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -32,6 +33,7 @@ pub use error::ReadError;
 pub use header::{ByteOrder, Found, Header, SampleType};
 pub use info::{FileInfo, Intensities, info};
 pub use input::Input;
+pub(crate) use samples::require_finite;
 pub use tilts::parse_tilts;
 
 use crate::micrograph::{Micrograph, Source};
@@ -111,7 +113,7 @@ pub fn read_micrograph_with(spec: &str, options: &ReadOptions) -> Result<Reading
     let mut file = open(&path, options)?;
     let page = choose_page(file.header(), &path, chosen)?;
     let pixels = file.read_page(page)?;
-    samples::require_finite(spec, &pixels)?;
+    require_finite(spec, &pixels)?;
     let source = Source { path: spec.to_owned(), sha256: input::sha256(&path)? };
     let Header { pixel_size_nm, tilts_deg, notes, .. } = file.header().clone();
     let tilt_deg = tilts_deg.map(|found| Found { value: found.value[page], origin: found.origin });

@@ -103,7 +103,7 @@ pub fn grey(
 }
 
 /// Refuses NaN and infinity.
-pub(super) fn require_finite(path: &str, pixels: &Array2<f32>) -> Result<(), ReadError> {
+pub(crate) fn require_finite(path: &str, pixels: &Array2<f32>) -> Result<(), ReadError> {
     let Some(((row, column), &value)) = pixels.indexed_iter().find(|(_, value)| !value.is_finite()) else {
         return Ok(());
     };

@@ -61,7 +61,7 @@ pub fn draw(reconstruction: &Reconstruction) -> Canvas {
 
 /// How rectified px become canvas px.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Zoom {
+pub(crate) enum Zoom {
     /// Enlarged by a whole factor.
     In(usize),
     /// Shrunk by a whole factor.
@@ -69,7 +69,7 @@ enum Zoom {
 }
 
 impl Zoom {
-    fn new(longer_side: usize) -> Self {
+    pub(crate) fn new(longer_side: usize) -> Self {
         if longer_side > MAX_PANEL_PX {
             Zoom::Out(longer_side.div_ceil(MAX_PANEL_PX))
         } else {
@@ -77,14 +77,14 @@ impl Zoom {
         }
     }
 
-    fn factor(self) -> f64 {
+    pub(crate) fn factor(self) -> f64 {
         match self {
             Zoom::In(factor) => factor as f64,
             Zoom::Out(factor) => 1.0 / factor as f64,
         }
     }
 
-    fn size(self, length: usize) -> usize {
+    pub(crate) fn size(self, length: usize) -> usize {
         match self {
             Zoom::In(factor) => length * factor,
             Zoom::Out(factor) => length.div_ceil(factor),
@@ -92,7 +92,7 @@ impl Zoom {
     }
 
     /// Canvas px of a rectified coordinate: pixel centres are at integers in both.
-    fn map(self, value: f64) -> f64 {
+    pub(crate) fn map(self, value: f64) -> f64 {
         (value + 0.5) * self.factor() - 0.5
     }
 }
@@ -183,7 +183,7 @@ impl ColourScale {
 }
 
 /// A rectified image, whose intensity is normalised to 0..1, from dark to light grey; white is left for the lines.
-fn draw_image(image: &Array2<f32>, zoom: Zoom) -> Canvas {
+pub(crate) fn draw_image(image: &Array2<f32>, zoom: Zoom) -> Canvas {
     let (rows, columns) = image.dim();
     let mut canvas = Canvas::new(zoom.size(columns), zoom.size(rows), VOID);
     let width = canvas.width;

@@ -1,0 +1,280 @@
+//! From a pair's result to one of all views, and back into the form that a pair's result has: rectified images, disparities and
+//! depths of the pair, now with the poses and curves that all views agree on. So every output and measure stays what it is.
+
+use super::grow::extended;
+use super::more::{new_curves, other_pairs};
+use super::{FitSettings, FittedCurve, Grown, StartCurve, grow};
+use crate::curve::{Flag, MatchedCurve, MatchedPoint, TraceEnd, TraceGraph};
+use crate::geometry::{Point2, Point3, Similarity2, TiltPair, Vector2, project_at_tilt};
+use crate::matching::unmatched_lines;
+use crate::measure::measure;
+use crate::micrograph::View;
+use crate::pipeline::{Detect, Match};
+use crate::progress::Stage;
+use crate::reconstruction::Reconstruction;
+use crate::rectify::RectifiedPair;
+use crate::rectify::resample::{common_grid, resample};
+use crate::series::{AlignedSeries, Series, SeriesError, ViewLines, saved};
+use crate::settings::Settings;
+use crate::trace::trace;
+use crate::triangulate::triangulate;
+use crate::warning::Warning;
+
+/// Curves found in a smaller share of the places of other views are wrong matches, and are taken out.
+const LEAST_SUPPORT: f64 = 0.2;
+/// Curves that the pair did not show must be found in this share: they have no more than chance behind them.
+const LEAST_SUPPORT_OF_NEW: f64 = 0.5;
+/// So many views beside the pair are needed to say so.
+const LEAST_OTHERS: usize = 3;
+/// Points on lines of so many views are measured.
+const MEASURED_VIEWS: usize = 2;
+/// A curve's end belongs to a junction this near, px.
+const JUNCTION_PX: f64 = 8.0;
+
+/// A result of all views.
+#[derive(Clone, Debug)]
+pub struct SeriesFit {
+    /// The result, in the frame of the pair.
+    pub reconstruction: Reconstruction,
+    /// Poses and lines of the views.
+    pub grown: Grown,
+    /// The alignment of the series, refined on the curves.
+    pub refined: AlignedSeries,
+}
+
+/// Fits the curves of a pair's result to all views of its series. `pair` are the places of left and right in the series;
+/// `lines_of` finds the lines of a view.
+///
+/// # Errors
+/// Where a view cannot be read.
+#[expect(clippy::too_many_arguments, reason = "the stages of a pair and the parts of a series meet here")]
+pub fn reconstruct_series(
+    result: Reconstruction,
+    pair: [usize; 2],
+    series: &Series,
+    aligned: &AlignedSeries,
+    detector: &dyn Detect,
+    matcher: &dyn Match,
+    settings: &Settings,
+    fit: &FitSettings,
+    lines_of: &mut dyn FnMut(usize) -> Result<ViewLines, SeriesError>,
+) -> Result<SeriesFit, SeriesError> {
+    let poses = saved::poses(&result.rectified.rectification, result.pair.tilts, &result.frame);
+    let start = start_curves(&result);
+    let starts = [(pair[0], poses[0]), (pair[1], poses[1])];
+    let mut grown = grow(&start, starts, series, aligned, fit, lines_of)?;
+    // Lines that this pair does not show, from pairs about other tilts.
+    let mut known: Vec<StartCurve> = grown.curves.iter().map(FittedCurve::as_start).collect();
+    let first = known.len();
+    for [left, right] in other_pairs(&grown.views) {
+        let views = [&grown.views[left], &grown.views[right]];
+        known.extend(new_curves(views, &known, series, detector, matcher, settings)?);
+    }
+    if known.len() > first {
+        grown = extended(grown, &known[first..], fit);
+    }
+    let refined = refined(&grown, series, aligned, &result);
+    let reconstruction = in_pair_form(result, &grown, series, detector, settings);
+    Ok(SeriesFit { reconstruction, grown, refined })
+}
+
+/// The curves of a result in px, depth as the tilts have it.
+fn start_curves(result: &Reconstruction) -> Vec<StartCurve> {
+    let (pixel, sign) = (result.frame.pixel, if result.frame.depth_flipped { -1.0 } else { 1.0 });
+    let curve = |curve: &crate::curve::Curve3| StartCurve {
+        points: curve
+            .points
+            .iter()
+            .map(|point| Point3::new(point.position.x, point.position.y, sign * point.position.z) / pixel)
+            .collect(),
+        sigma_z: curve.points.iter().map(|point| point.sigma_z / pixel).collect(),
+        closed: curve.closed,
+    };
+    result.curves.iter().map(curve).collect()
+}
+
+/// The alignment with the fitted poses; views that took no part move with their nearest one.
+fn refined(grown: &Grown, series: &Series, aligned: &AlignedSeries, result: &Reconstruction) -> AlignedSeries {
+    let mid = result.pair.tilts.mid_rad();
+    let pose = |view: usize| {
+        let nominal = series.views[view].tilt_deg.to_radians();
+        let off = |other: &super::FitView| (other.nominal_rad + mid - nominal).abs();
+        let nearest = grown.views.iter().min_by(|a, b| off(a).total_cmp(&off(b))).expect("the pair took part");
+        let moved = nearest.pose.origin() - aligned.poses[nearest.view].origin();
+        match grown.views.iter().find(|other| other.view == view) {
+            Some(fitted) => super::ViewPose { tilt_rad: fitted.pose.tilt_rad + mid, ..fitted.pose },
+            None => {
+                let origin = aligned.poses[view].origin() + moved;
+                super::ViewPose::new(nominal, nearest.pose.axis_rad(), nearest.pose.scale(), origin)
+            }
+        }
+    };
+    let poses: Vec<super::ViewPose> = (0..series.views.len()).map(pose).collect();
+    AlignedSeries { axis_rad: grown.views[0].pose.axis_rad(), poses, ..aligned.clone() }
+}
+
+fn in_pair_form(
+    mut result: Reconstruction,
+    grown: &Grown,
+    series: &Series,
+    detector: &dyn Detect,
+    settings: &Settings,
+) -> Reconstruction {
+    let mid = result.pair.tilts.mid_rad();
+    let [left, right] = [0, 1].map(|view| &grown.views[view].pose);
+    let tilts = TiltPair { left_rad: mid + left.tilt_rad, right_rad: mid + right.tilt_rad };
+    // The images on a grid whose rows are epipolar lines of the fitted poses.
+    let shapes = [&result.pair.left, &result.pair.right].map(|image| [image.height(), image.width()]);
+    let maps = [left, right].map(|pose| pose.image_from_projection.inverse());
+    let grid = common_grid(shapes, [&maps[0], &maps[1]]);
+    let shifted = |map: &Similarity2| {
+        let mut map = *map;
+        map.isometry.translation.vector += grid.shift;
+        map
+    };
+    let maps = maps.each_ref().map(shifted);
+    let images = View::BOTH.map(|view| result.pair.view(view).normalised());
+    let [left_image, right_image] = [0, 1].map(|view| resample(&images[view].view(), &maps[view], grid.shape));
+    let old = result.rectified.rectification.clone();
+    let turned = maps[0].isometry.rotation.angle() - maps[1].isometry.rotation.angle();
+    let rectification = crate::rectify::Rectification {
+        rectified_from_left: maps[0],
+        rectified_from_right: maps[1],
+        shape: grid.shape,
+        axis_deg: left.axis_rad().to_degrees(),
+        relative_rotation_deg: turned.sin().atan2(turned.cos()).to_degrees(),
+        relative_scale: right.scale() / left.scale(),
+        ..old
+    };
+    result.pair.tilts = tilts;
+    result.rectified = RectifiedPair { left: left_image, right: right_image, rectification };
+    result.lines = View::BOTH.map(|view| detector.detect(&result.rectified, view));
+    result.traces = [0, 1].map(|view| trace(&result.lines[view], &settings.trace));
+
+    let (kept, out) = kept(grown, result.matched.len());
+    let depth_gain = tilts.depth_gain().abs();
+    let in_left = |point: &Point3| project_at_tilt(point, left.tilt_rad) + grid.shift;
+    let in_right = |point: &Point3| project_at_tilt(point, right.tilt_rad) + grid.shift;
+    let matched = kept.iter().map(|&index| {
+        // None for a curve that another pair shows.
+        let (curve, old) = (&grown.curves[index], result.matched.get(index));
+        let [on_left, on_right]: [Vec<Point2>; 2] =
+            [curve.points.iter().map(in_left).collect(), curve.points.iter().map(in_right).collect()];
+        let points = (0..curve.points.len()).map(|at| MatchedPoint {
+            left: on_left[at],
+            tangent_left: tangent(&on_left, at),
+            tangent_right: Some(tangent(&on_right, at)),
+            disparity_px: on_right[at].x - on_left[at].x,
+            sigma_px: curve.sigma_z[at] / depth_gain,
+            flag: flag(curve, at, old.map_or(Flag::Bridged, |old| old.points[at].flag), &grown.views),
+        });
+        let points: Vec<MatchedPoint> = points.collect();
+        let left_trace = nearest_trace(&points, &result.traces[0]).unwrap_or(0);
+        let (first, last) = (points[0].left, points[points.len() - 1].left);
+        let ends = old.map_or([TraceEnd::Free; 2], |old| old.ends);
+        let ends = [(ends[0], first), (ends[1], last)].map(|(end, place)| at_junction(end, &place, &result.traces[0]));
+        MatchedCurve { left_trace, points, closed: curve.closed, ends }
+    });
+    let matched: Vec<MatchedCurve> = matched.collect();
+    let of_pair = result.matched.len();
+    let added = kept.iter().filter(|index| **index >= of_pair).count();
+    result.matched = matched;
+    // An error of the tilts scales depths by less the further the views are apart.
+    let spread: f64 = grown.views.iter().map(|view| view.pose.tilt_rad.powi(2)).sum::<f64>().sqrt();
+    let sigma_rad = settings.measure.tilt_sigma_deg.to_radians() / std::f64::consts::SQRT_2;
+    let sigma_phi_rad = sigma_rad / spread.max(1e-9) * tilts.phi().abs();
+    (result.curves, result.frame) =
+        triangulate(&result.matched, &result.rectified, &result.pair, sigma_phi_rad, result.frame.depth_flipped);
+    result.unmatched = unmatched_lines(&result.matched, &result.traces, &result.rectified.rectification);
+    let (measures, doubts) = measure(&result.curves, &result.frame, &result.rectified, &settings.measure);
+    result.measures = measures;
+    // What was measured on the pair alone is measured anew.
+    result.warnings.retain(|warning| warning.stage != Stage::Measure);
+    result.warnings.extend(doubts);
+    let out = out.iter().filter(|index| **index < of_pair).count();
+    result.warnings.extend(warnings(grown, series, [out, added, of_pair]));
+    result
+}
+
+/// Curves that other views support, and those that they do not; the first `of_pair` are those of the pair.
+fn kept(grown: &Grown, of_pair: usize) -> (Vec<usize>, Vec<usize>) {
+    let others = grown.views.len() - 2;
+    let least = |index: usize| if index < of_pair { LEAST_SUPPORT } else { LEAST_SUPPORT_OF_NEW };
+    let supported =
+        |index: &usize| (others < LEAST_OTHERS && *index < of_pair) || grown.curves[*index].support >= least(*index);
+    (0..grown.curves.len()).partition(supported)
+}
+
+fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3]) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    if !grown.left_out.is_empty() {
+        let mut tilts: Vec<f64> = grown.left_out.iter().map(|view| series.views[*view].tilt_deg).collect();
+        tilts.sort_by(f64::total_cmp);
+        let tilts: Vec<String> = tilts.iter().map(f64::to_string).collect();
+        let message = format!(
+            "{} of {} views take no part: the curves do not lie on the lines found at {} degrees",
+            tilts.len(),
+            series.views.len(),
+            tilts.join(", ")
+        );
+        warnings.push(Warning::new(Stage::Refine, message));
+    }
+    if added > 0 {
+        let message =
+            format!("{added} curves were added that the pair does not show, from pairs of views about other tilts");
+        warnings.push(Warning::new(Stage::Match, message));
+    }
+    if out > 0 {
+        let message = format!(
+            "{} of {} curves of the pair were taken out as wrong matches: in the other views less than {:.0} % of them lies on a \
+             line (lines.csv has their lines)",
+            out,
+            of_pair,
+            100.0 * LEAST_SUPPORT
+        );
+        warnings.push(Warning::new(Stage::Refine, message));
+    }
+    warnings
+}
+
+/// How far a point is trusted: as in the pair where only the pair sees it.
+fn flag(curve: &FittedCurve, at: usize, before: Flag, views: &[super::FitView]) -> Flag {
+    match curve.seen[at] {
+        seen if seen > MEASURED_VIEWS || (seen == MEASURED_VIEWS && views.len() > 2 && before == Flag::Ok) => Flag::Ok,
+        seen if seen >= MEASURED_VIEWS => before,
+        _ => Flag::Bridged,
+    }
+}
+
+fn tangent(points: &[Point2], at: usize) -> Vector2 {
+    let step = points[(at + 1).min(points.len() - 1)] - points[at.saturating_sub(1)];
+    step.try_normalize(1e-9).unwrap_or_else(Vector2::y)
+}
+
+/// The trace that most of a curve's points are nearest to.
+fn nearest_trace(points: &[MatchedPoint], graph: &TraceGraph) -> Option<usize> {
+    let mut votes = vec![0_usize; graph.traces.len()];
+    for point in points.iter().step_by(5) {
+        let distance = |trace: &crate::curve::Trace| {
+            let each = trace.points.iter().map(|other| (other.position - point.left).norm_squared());
+            each.fold(f64::INFINITY, f64::min)
+        };
+        let nearest = (0..graph.traces.len())
+            .map(|trace| (distance(&graph.traces[trace]), trace))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, trace)) = nearest {
+            votes[trace] += 1;
+        }
+    }
+    (0..votes.len()).max_by_key(|trace| (votes[*trace], std::cmp::Reverse(*trace)))
+}
+
+/// The end of a curve among the junctions of the new traces.
+fn at_junction(end: TraceEnd, place: &Point2, graph: &TraceGraph) -> TraceEnd {
+    if !matches!(end, TraceEnd::Junction(_)) {
+        return end;
+    }
+    let distance = |junction: usize| (graph.junctions[junction] - place).norm();
+    let nearest = (0..graph.junctions.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+    nearest.filter(|junction| distance(*junction) <= JUNCTION_PX).map_or(TraceEnd::Free, TraceEnd::Junction)
+}

@@ -1,0 +1,261 @@
+//! More than two views: each curve a smooth spline in the foil, fitted to the lines of all views at once, together with shifts,
+//! turns, magnifications and small errors of the tilts.
+//!
+//! Robust, sparse least squares: project the splines, measure the offset to the line across them in every view ([`observe`]), solve
+//! for curves and poses ([`solve`]), repeat. Priors hold each tilt to 0.1 degree and their mean altogether (a common change only
+//! turns the foil); the shift and magnification of the first view, and the shift of the second along the rows, are the frame.
+//! [`grow`] starts from a pair and takes in views by and by.
+
+mod frame;
+mod grow;
+mod more;
+mod observe;
+mod solve;
+mod spline;
+#[cfg(test)]
+mod tests;
+
+pub use frame::{SeriesFit, reconstruct_series};
+pub use grow::{Grown, grow};
+
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use super::{LineIndex, ViewPose};
+use crate::geometry::{Point3, Vector3};
+use observe::{Noise, Sampled, observe};
+use solve::{CurveProblem, PER_VIEW, Prior, Step};
+use spline::{Basis, Spline};
+
+/// Settings of the fit to all views.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FitSettings {
+    /// One-sigma prior of the error of a tilt, degrees.
+    pub tilt_sigma_deg: f64,
+    /// One-sigma prior of the turn of a view against that of the pair, degrees.
+    pub turn_sigma_deg: f64,
+    /// One-sigma prior of the relative magnification of a view.
+    pub scale_sigma: f64,
+    /// How readily curves bend: spectral density of the random walk of their slope, px^2 / px^3.
+    pub roughness: f64,
+    /// Largest offset between a projected curve and a line of a view, px.
+    pub reach_px: f64,
+    /// Rounds of the last fit.
+    pub rounds: usize,
+}
+
+impl Default for FitSettings {
+    fn default() -> Self {
+        Self {
+            tilt_sigma_deg: 0.1,
+            turn_sigma_deg: 0.6,
+            scale_sigma: 0.003,
+            roughness: 1e-3,
+            reach_px: 3.0,
+            rounds: 10,
+        }
+    }
+}
+
+/// What holds the frame is fixed to this, px and relative.
+const FIXED: f64 = 1e-5;
+/// The mean of the tilts is held to this, degrees.
+const MEAN_TILT_SIGMA_DEG: f64 = 1e-3;
+/// A prior of the shift of a view, px: wide, so that a view without observations stays soluble.
+const SHIFT_SIGMA_PX: f64 = 50.0;
+/// A step of a round is cut to this, px.
+const MOST_STEP_PX: f64 = 6.0;
+
+/// A curve that the fit starts from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StartCurve {
+    /// Points in the frame of the poses, px, at least two.
+    pub points: Vec<Point3>,
+    /// One sigma of z at each, px.
+    pub sigma_z: Vec<f64>,
+    /// Whether the last point joins the first.
+    pub closed: bool,
+}
+
+/// A view in the fit.
+#[derive(Clone, Debug)]
+pub struct FitView {
+    /// Its place in [`super::Series::views`].
+    pub view: usize,
+    /// Its pose; the tilt is the nominal one plus what the fit found.
+    pub pose: ViewPose,
+    /// Its tilt before the fit, radians.
+    pub nominal_rad: f64,
+    /// Its lines.
+    pub lines: LineIndex,
+}
+
+impl FitView {
+    /// A view as it is before the fit.
+    pub fn new(view: usize, pose: ViewPose, lines: LineIndex) -> Self {
+        Self { view, pose, nominal_rad: pose.tilt_rad, lines }
+    }
+}
+
+/// A fitted curve.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FittedCurve {
+    /// Points in the frame of the poses, px, as many as the curve had.
+    pub points: Vec<Point3>,
+    /// One sigma of z at each, px: curve and poses together.
+    pub sigma_z: Vec<f64>,
+    /// In how many views each point lies on a line.
+    pub seen: Vec<usize>,
+    /// Whether the last point joins the first.
+    pub closed: bool,
+    /// Share of the places in the images of views at which a line is found, over the views that are not of the pair; 0 without.
+    pub support: f64,
+}
+
+impl FittedCurve {
+    /// The curve as the start of another fit.
+    fn as_start(&self) -> StartCurve {
+        let sigma_z = self.sigma_z.iter().map(|sigma| sigma.min(100.0)).collect();
+        StartCurve { points: self.points.clone(), sigma_z, closed: self.closed }
+    }
+}
+
+/// Curves and poses while they are fitted.
+struct Problem {
+    splines: Vec<Sampled>,
+    views: Vec<FitView>,
+    /// The poses that the priors of turn and magnification are about.
+    start: Vec<ViewPose>,
+    noise: Vec<Noise>,
+    /// Equations of the last round.
+    step: Option<Step>,
+}
+
+impl Problem {
+    fn new(curves: &[StartCurve], views: Vec<FitView>, settings: &FitSettings) -> Self {
+        let splines = curves.iter().map(|curve| sampled(curve, settings.roughness)).collect();
+        let noise = vec![Noise::default(); views.len()];
+        Self { splines, start: views.iter().map(|view| view.pose).collect(), views, noise, step: None }
+    }
+
+    /// Takes in another view.
+    fn add(&mut self, view: FitView) {
+        self.start.push(view.pose);
+        self.noise.push(Noise::default());
+        self.views.push(view);
+    }
+
+    /// Rounds of the fit, with lines looked for within a reach that goes from the first to the second.
+    fn run(&mut self, rounds: usize, reach_px: [f64; 2], settings: &FitSettings) {
+        for round in 0..rounds {
+            let share = round as f64 / rounds.saturating_sub(1).max(1) as f64;
+            let reach = reach_px[0] + (reach_px[1] - reach_px[0]) * share;
+            let observed = observe(&self.splines, &self.views, &mut self.noise, reach);
+            let curves: Vec<CurveProblem> = self
+                .splines
+                .iter()
+                .zip(observed)
+                .map(|(sampled, observations)| CurveProblem {
+                    normals: sampled.spline.normals(),
+                    bending: spline::bending(&sampled.spline.basis, &sampled.places, settings.roughness),
+                    controls: sampled.spline.controls.clone(),
+                    observations,
+                })
+                .collect();
+            let Some(step) = solve::solve(curves, &self.prior(settings)) else { return };
+            for (sampled, moves) in self.splines.iter_mut().zip(&step.controls) {
+                for (control, by) in sampled.spline.controls.iter_mut().zip(moves) {
+                    *control += by * (MOST_STEP_PX / by.norm().max(MOST_STEP_PX));
+                }
+            }
+            for (view, [x, y, turn, grown, tilt]) in self.views.iter_mut().zip(&step.views) {
+                let shift = crate::geometry::Vector2::new(*x, *y);
+                view.pose = view.pose.changed(*tilt, *turn, *grown, shift, &crate::geometry::Point2::origin());
+            }
+            self.step = Some(step);
+        }
+    }
+
+    /// Priors of the views' numbers about their starts, and the frame.
+    fn prior(&self, settings: &FitSettings) -> Prior {
+        let count = self.views.len();
+        let mut matrix = DMatrix::<f64>::zeros(PER_VIEW * count, PER_VIEW * count);
+        let mut right = DVector::<f64>::zeros(PER_VIEW * count);
+        let mut hold = |at: usize, off: f64, sigma: f64| {
+            matrix[(at, at)] += 1.0 / (sigma * sigma);
+            right[at] -= off / (sigma * sigma);
+        };
+        let tilt_sigma = settings.tilt_sigma_deg.max(1e-6).to_radians();
+        for (index, (view, start)) in self.views.iter().zip(&self.start).enumerate() {
+            let first = PER_VIEW * index;
+            let moved = view.pose.origin() - start.origin();
+            let turned = view.pose.axis_rad() - start.axis_rad();
+            // The views of the pair are the frame: the place of one, and of the other along the rows.
+            hold(first, moved.x, if index < 2 { FIXED } else { SHIFT_SIGMA_PX });
+            hold(first + 1, moved.y, if index < 1 { FIXED } else { SHIFT_SIGMA_PX });
+            hold(first + 2, turned.sin().atan2(turned.cos()), settings.turn_sigma_deg.max(1e-6).to_radians());
+            let scale_sigma = if index < 1 { FIXED } else { settings.scale_sigma.max(1e-9) };
+            hold(first + 3, (view.pose.scale() / start.scale()).ln(), scale_sigma);
+            hold(first + 4, view.pose.tilt_rad - view.nominal_rad, tilt_sigma);
+        }
+        // The mean of the errors of tilt: sum(delta) / n = 0.
+        let sigma = MEAN_TILT_SIGMA_DEG.to_radians() * count as f64;
+        let sum: f64 = self.views.iter().map(|view| view.pose.tilt_rad - view.nominal_rad).sum();
+        for a in 0..count {
+            right[PER_VIEW * a + 4] -= sum / (sigma * sigma);
+            for b in 0..count {
+                matrix[(PER_VIEW * a + 4, PER_VIEW * b + 4)] += 1.0 / (sigma * sigma);
+            }
+        }
+        Prior { matrix, right }
+    }
+
+    /// The curves as points again, at the places that those of the start had.
+    fn fitted(&mut self, reach_px: f64) -> Vec<FittedCurve> {
+        let seen = observe::seen(&self.splines, &self.views, reach_px);
+        let curve = |(index, sampled): (usize, &Sampled)| {
+            let at = |place: &f64| sampled.spline.basis.at(*place);
+            let points = sampled.points.iter().map(|place| Point3::from(sampled.spline.at(&at(place))[0])).collect();
+            let variance = |place: &f64| {
+                let step = self.step.as_ref()?;
+                step.variance(index, &at(place), &Vector3::z())
+            };
+            let sigma_z = sampled.points.iter().map(|place| variance(place).map_or(f64::INFINITY, f64::sqrt)).collect();
+            FittedCurve { points, sigma_z, seen: seen[index].0.clone(), closed: sampled.closed, support: seen[index].1 }
+        };
+        self.splines.iter().enumerate().map(curve).collect()
+    }
+
+    /// The lines that the curves have at present, for the search of further views.
+    fn points_with_tangents(&self) -> Vec<(Point3, Vector3)> {
+        let of_curve = |sampled: &Sampled| {
+            let at = |place: &f64| {
+                let [point, first, _] = sampled.spline.at(&sampled.spline.basis.at(*place));
+                (Point3::from(point), first)
+            };
+            sampled.points.iter().map(at).collect::<Vec<_>>()
+        };
+        self.splines.iter().flat_map(of_curve).collect()
+    }
+}
+
+/// The spline through a curve's points; places are arc lengths of the projection, in which points are known well.
+fn sampled(curve: &StartCurve, roughness: f64) -> Sampled {
+    let mut points = vec![0.0];
+    for pair in curve.points.windows(2) {
+        let last = points[points.len() - 1];
+        points.push(last + (pair[1].xy() - pair[0].xy()).norm().max(1e-3));
+    }
+    let mut length = points[points.len() - 1];
+    if curve.closed {
+        length += (curve.points[0].xy() - curve.points[curve.points.len() - 1].xy()).norm();
+    }
+    let weights: Vec<Vector3> = curve
+        .sigma_z
+        .iter()
+        .map(|sigma| Vector3::new(4.0, 4.0, 1.0 / (observe::CORRELATION_PX * sigma.max(0.1).powi(2))))
+        .collect();
+    let spline = Spline::through(Basis::new(length, curve.closed), &points, &curve.points, &weights, roughness);
+    Sampled::new(spline, points, length, curve.closed)
+}

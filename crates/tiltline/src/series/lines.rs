@@ -1,0 +1,189 @@
+//! Lines of one view of a series, and which of them is nearest to a point.
+
+use ndarray::Array2;
+use rstar::RTree;
+use rstar::primitives::GeomWithData;
+
+use crate::curve::TraceGraph;
+use crate::geometry::{Point2, Similarity2, Vector2};
+use crate::micrograph::{Micrograph, View};
+use crate::pipeline::Detect;
+use crate::rectify::{Rectification, RectifiedPair};
+use crate::trace::{TraceSettings, trace};
+
+/// Lines found in one view, in its input px.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewLines {
+    /// Centrelines.
+    pub traces: TraceGraph,
+    /// Rows and columns of the image.
+    pub shape: [usize; 2],
+}
+
+/// Finds and traces the lines of a single view with the detector of a pair.
+pub fn detect_lines(image: &Micrograph, detector: &dyn Detect, settings: &TraceSettings) -> ViewLines {
+    let pixels = image.normalised();
+    let shape = [pixels.nrows(), pixels.ncols()];
+    if pixels.iter().all(|value| *value == 0.0) {
+        return ViewLines { traces: TraceGraph::default(), shape };
+    }
+    let pair = alone(pixels);
+    let map = detector.detect(&pair, View::Left);
+    ViewLines { traces: trace(&map, settings), shape }
+}
+
+/// A "pair" of one image, for detectors, which look at pairs.
+fn alone(pixels: Array2<f32>) -> RectifiedPair {
+    let shape = [pixels.nrows(), pixels.ncols()];
+    let rectification = Rectification {
+        rectified_from_left: Similarity2::identity(),
+        rectified_from_right: Similarity2::identity(),
+        shape,
+        inliers: 0,
+        matches: 0,
+        rms_row_error_px: 0.0,
+        sigma_row_px: 0.0,
+        axis_deg: 0.0,
+        axis_sigma_deg: 0.0,
+        axis_held_by_prior: false,
+        eigenvalue_ratio: None,
+        relative_rotation_deg: 0.0,
+        relative_scale: 1.0,
+        right_from_left: Similarity2::identity(),
+        disparity_range_px: [0.0, 0.0],
+    };
+    RectifiedPair { left: pixels.clone(), right: pixels, rectification }
+}
+
+impl ViewLines {
+    /// Length of all lines, px.
+    pub fn length_px(&self) -> f64 {
+        self.traces.traces.iter().map(crate::curve::Trace::length_px).sum()
+    }
+}
+
+/// A point of a line that is near another point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearLine {
+    /// Index of the trace.
+    pub trace: usize,
+    /// Index of its point.
+    pub point: usize,
+    /// The nearest place on the line.
+    pub place: Point2,
+    /// Unit tangent of the line there.
+    pub tangent: Vector2,
+    /// One-sigma error of the line across itself, px.
+    pub sigma_px: f64,
+}
+
+/// The lines of a view, to be asked for the nearest.
+#[derive(Clone, Debug)]
+pub struct LineIndex {
+    tree: RTree<GeomWithData<[f64; 2], (usize, usize)>>,
+    lines: ViewLines,
+}
+
+impl LineIndex {
+    /// Indexes lines.
+    pub fn new(lines: ViewLines) -> Self {
+        let points = lines.traces.traces.iter().enumerate().flat_map(|(trace, line)| {
+            let point = move |(index, point): (usize, &crate::curve::TracePoint)| {
+                GeomWithData::new([point.position.x, point.position.y], (trace, index))
+            };
+            line.points.iter().enumerate().map(point)
+        });
+        Self { tree: RTree::bulk_load(points.collect()), lines }
+    }
+
+    /// The lines.
+    pub fn lines(&self) -> &ViewLines {
+        &self.lines
+    }
+
+    /// Distance to the nearest line, px; `None` without lines.
+    pub fn distance(&self, point: &Point2) -> Option<f64> {
+        let nearest = self.tree.nearest_neighbor([point.x, point.y])?;
+        Some((self.near(nearest.data, point).place - point).norm())
+    }
+
+    /// The nearest line within `reach_px` whose direction is within `most_turn` (sine of the angle) of `tangent`.
+    pub fn nearest_along(&self, point: &Point2, tangent: &Vector2, reach_px: f64, most_turn: f64) -> Option<NearLine> {
+        let within = self.tree.locate_within_distance([point.x, point.y], reach_px * reach_px);
+        let along = within.filter(|found| {
+            let other = self.lines.traces.traces[found.data.0].points[found.data.1].tangent;
+            (tangent.x * other.y - tangent.y * other.x).abs() <= most_turn
+        });
+        let squared = |found: &&GeomWithData<[f64; 2], (usize, usize)>| {
+            (found.geom()[0] - point.x).powi(2) + (found.geom()[1] - point.y).powi(2)
+        };
+        // Equals in the order of the lines: the tree's own order is not part of the result.
+        let found = along.min_by(|a, b| squared(a).total_cmp(&squared(b)).then(a.data.cmp(&b.data)))?;
+        Some(self.near(found.data, point))
+    }
+
+    /// Where the line across a curve (through `point`, perpendicular to the unit `tangent`) meets a detected line that runs along it:
+    /// the offset along the normal `(-tangent.y, tangent.x)`, and the line's own sigma, px. `None` where there is none within reach.
+    ///
+    /// Unlike the nearest point of a noisy line, this offset is not drawn towards where one looks from, and does not reach beyond
+    /// the line's ends. Where two lines that run along each other are in reach, it is not known which is meant, and nothing is said.
+    pub fn offset_across(
+        &self,
+        point: &Point2,
+        tangent: &Vector2,
+        reach_px: f64,
+        most_turn: f64,
+    ) -> Option<(f64, f64, usize)> {
+        let near = self.nearest_along(point, tangent, reach_px, most_turn)?;
+        if self.is_ambiguous(point, tangent, near.trace, reach_px, most_turn) {
+            return None;
+        }
+        let points = &self.lines.traces.traces[near.trace].points;
+        let along = |index: usize| tangent.dot(&(points[index].position - point));
+        let normal = Vector2::new(-tangent.y, tangent.x);
+        // From the nearest point outwards, on both sides in turn.
+        let walk = 2 * reach_px.ceil() as usize + 2;
+        let mut found: Option<(usize, f64)> = None;
+        for start in (near.point.saturating_sub(walk)..(near.point + walk).min(points.len() - 1))
+            .filter(|at| at + 1 < points.len())
+        {
+            let (a, b) = (along(start), along(start + 1));
+            if a * b > 0.0 || a == b {
+                continue;
+            }
+            let share = a / (a - b);
+            let place = points[start].position + (points[start + 1].position - points[start].position) * share;
+            let offset = normal.dot(&(place - point));
+            let steps = start.abs_diff(near.point);
+            if offset.abs() <= reach_px && found.is_none_or(|(best, _)| steps < best) {
+                found = Some((steps, offset));
+            }
+        }
+        found.map(|(_, offset)| (offset, near.sigma_px, near.trace))
+    }
+
+    /// Whether another line along the same direction is within reach.
+    fn is_ambiguous(&self, point: &Point2, tangent: &Vector2, trace: usize, reach_px: f64, most_turn: f64) -> bool {
+        self.tree.locate_within_distance([point.x, point.y], reach_px * reach_px).any(|found| {
+            let other = self.lines.traces.traces[found.data.0].points[found.data.1].tangent;
+            found.data.0 != trace && (tangent.x * other.y - tangent.y * other.x).abs() <= most_turn
+        })
+    }
+
+    /// The foot of a point on the polyline about one of its points.
+    fn near(&self, (trace, index): (usize, usize), point: &Point2) -> NearLine {
+        let points = &self.lines.traces.traces[trace].points;
+        let own = points[index].position;
+        let mut best = own;
+        for other in [index.checked_sub(1), Some(index + 1)].into_iter().flatten().filter_map(|at| points.get(at)) {
+            let along = other.position - own;
+            let foot = ((point - own).dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+            let place = own + along * foot;
+            if (place - point).norm_squared() < (best - point).norm_squared() {
+                best = place;
+            }
+        }
+        let crate::curve::TracePoint { tangent, sigma_perp_px, .. } = points[index];
+        NearLine { trace, point: index, place: best, tangent, sigma_px: sigma_perp_px }
+    }
+}
