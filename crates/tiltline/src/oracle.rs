@@ -157,28 +157,6 @@ impl Rectification {
         Self::known([shift * geometry.rows_from_left, shift * geometry.rows_from_right], shape)
     }
 
-    fn known([rectified_from_left, rectified_from_right]: [Similarity2; 2], shape: [usize; 2]) -> Self {
-        let axis_rad = [&rectified_from_left, &rectified_from_right].map(|map| -map.isometry.rotation.angle());
-        Self {
-            rectified_from_left,
-            rectified_from_right,
-            shape,
-            inliers: 0,
-            matches: 0,
-            rms_row_error_px: 0.0,
-            sigma_row_px: 0.0,
-            axis_deg: axis_rad[0].to_degrees(),
-            axis_sigma_deg: 0.0,
-            axis_held_by_prior: false,
-            eigenvalue_ratio: None,
-            relative_rotation_deg: (axis_rad[1] - axis_rad[0]).to_degrees(),
-            relative_scale: rectified_from_left.scaling() / rectified_from_right.scaling(),
-            right_from_left: rectified_from_right.inverse() * rectified_from_left,
-            disparity_range_px: [0.0, 0.0],
-            points: Vec::new(),
-        }
-    }
-
     /// Disparity of a point z px behind mid-foil (away from the viewer): `2 sin(phi / 2) z`.
     pub fn disparity_of_depth(tilts: &TiltPair, z: f64) -> f64 {
         z / tilts.depth_gain()

@@ -35,23 +35,7 @@ pub fn detect_lines(image: &Micrograph, detector: &dyn Detect, settings: &TraceS
 /// A "pair" of one image, for detectors, which look at pairs.
 fn alone(pixels: Array2<f32>) -> RectifiedPair {
     let shape = [pixels.nrows(), pixels.ncols()];
-    let rectification = Rectification {
-        rectified_from_left: Similarity2::identity(),
-        rectified_from_right: Similarity2::identity(),
-        shape,
-        inliers: 0,
-        matches: 0,
-        rms_row_error_px: 0.0,
-        sigma_row_px: 0.0,
-        axis_deg: 0.0,
-        axis_sigma_deg: 0.0,
-        axis_held_by_prior: false,
-        eigenvalue_ratio: None,
-        relative_rotation_deg: 0.0,
-        relative_scale: 1.0,
-        right_from_left: Similarity2::identity(),
-        disparity_range_px: [0.0, 0.0],
-    };
+    let rectification = Rectification::known([Similarity2::identity(); 2], shape);
     RectifiedPair { left: pixels.clone(), right: pixels, rectification }
 }
 

@@ -77,21 +77,10 @@ pub(super) fn new_curves(
     let maps = maps.map(|map| moved(&map, grid.shift));
     let [left, right] = [0, 1].map(|view| resample(&images[view].view(), &maps[view], grid.shape));
     let rectification = Rectification {
-        rectified_from_left: maps[0],
-        rectified_from_right: maps[1],
-        shape: grid.shape,
-        inliers: 0,
-        matches: 0,
         rms_row_error_px: ROW_SIGMA_PX,
         sigma_row_px: ROW_SIGMA_PX,
-        axis_deg: poses[0].axis_rad().to_degrees(),
-        axis_sigma_deg: 0.0,
-        axis_held_by_prior: false,
-        eigenvalue_ratio: None,
-        relative_rotation_deg: (poses[1].axis_rad() - poses[0].axis_rad()).to_degrees(),
-        relative_scale: poses[1].scale() / poses[0].scale(),
-        right_from_left: maps[1].inverse() * maps[0],
         disparity_range_px: [low - middle - BEYOND_PX, high - middle + BEYOND_PX],
+        ..Rectification::known(maps, grid.shape)
     };
     let pair = RectifiedPair { left, right, rectification };
     let lines = View::BOTH.map(|view| detector.detect(&pair, view));
