@@ -41,7 +41,7 @@ pub fn run(flags: &Report) -> Result<()> {
     replace(&path, folder, page.as_bytes())
         .into_diagnostic()
         .wrap_err_with(|| format!("cannot write {}", path.display()))?;
-    let mut written = vec![path];
+    let mut written = vec![path.clone()];
     if flags.png {
         let staging = Staging::begin(&folder.join("figures"), true).into_diagnostic()?;
         let mut names = Vec::new();

@@ -297,11 +297,11 @@ fn thinned(line: &[Point2]) -> Vec<f64> {
             if chord.norm() > 1e-9 { chord.perp(&from_a).abs() / chord.norm() } else { from_a.norm() }
         };
         let inner = (first + 1..last).map(|index| (index, distance(&line[index])));
-        if let Some((index, far)) = inner.max_by(|a, b| a.1.total_cmp(&b.1)) {
-            if far > LINE_TOLERANCE_PX {
-                spans.push((first, index));
-                spans.push((index, last));
-            }
+        if let Some((index, far)) = inner.max_by(|a, b| a.1.total_cmp(&b.1))
+            && far > LINE_TOLERANCE_PX
+        {
+            spans.push((first, index));
+            spans.push((index, last));
         }
     }
     let points = line.iter().zip(kept).filter(|(_, kept)| *kept);

@@ -16,7 +16,7 @@ pub fn draw(report: &Report) -> String {
     let zoom = width / columns;
     let height = rows * zoom;
     let top = MARGIN + FONT;
-    let mut svg = Svg::new(top + height + 46.0);
+    let mut svg = Svg::new(top + height + 52.0);
     let scale = DepthScale::new(report);
     for (side, view) in report.views.iter().enumerate() {
         let left = MARGIN + side as f64 * (width + MARGIN);

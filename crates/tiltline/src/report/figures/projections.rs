@@ -73,7 +73,7 @@ pub fn draw(report: &Report) -> String {
         plot.axes(&mut svg, &axis(across), &axis(down));
     }
     let bar_left = LEFT + width + GAP;
-    scale.draw(&mut svg, [LEFT + width + GAP, edge.at[1] + 6.0], (WIDTH - bar_left - 130.0).max(60.0), report);
+    scale.draw(&mut svg, [LEFT + width + GAP, edge.at[1] + 6.0], (WIDTH - bar_left - 12.0).max(60.0), report);
     svg.finish(&title(report))
 }
 

@@ -20,6 +20,8 @@ pub const INK: &str = "#222222";
 pub const FAINT: &str = "#c9ced4";
 /// Share of the colour map that is used: its lightest end vanishes on white.
 const SHOWN: f64 = 0.93;
+/// Width of a number below the colour bar and the gap to the next, points.
+const TICK_ROOM: f64 = 24.0;
 /// Colours that a line is cut into.
 const SHADES: usize = 48;
 
@@ -196,14 +198,18 @@ impl DepthScale {
             let left = x + width * shade as f64 / SHADES as f64;
             svg.rect([left, y], [width / SHADES as f64 + 0.2, height], &hex(self.colour_of(shade)));
         }
-        for (value, text) in ticks(self.low, self.high) {
+        let found = ticks(self.low, self.high);
+        // No more numbers than there is room for; zero stays.
+        let step = (TICK_ROOM * found.len() as f64 / width).ceil().max(1.0) as usize;
+        let zero = found.iter().position(|(value, _)| *value == 0.0).unwrap_or(0);
+        for (value, text) in found.into_iter().skip(zero % step).step_by(step) {
             let at = x + width * (value - self.low) / (self.high - self.low);
             svg.line([at, y + height], [at, y + height + 2.5], INK, 0.5);
             svg.text([at, y + height + 3.5 + FONT], Anchor::Middle, &text);
         }
         let flipped = if report.frame.depth_flipped { ", turned" } else { "" };
         let label = format!("depth z ({unit}), + away from viewer{flipped}");
-        svg.text([x + width + 10.0, y + height], Anchor::Start, &label);
+        svg.text([x, y + height + 6.0 + 2.2 * FONT], Anchor::Start, &label);
     }
 }
 
