@@ -94,7 +94,7 @@ fn reconstruct_views(
             seconds.lock().expect("no thread panics while it holds the lock").insert(stage.word(), time);
         }
     };
-    let (pair, provenance, mut warnings) = timed(&progress, Stage::Read, || read_pair(images, config))?;
+    let (pair, provenance, warnings) = timed(&progress, Stage::Read, || read_pair(images, config))?;
     let sources = [pair.left.source.clone(), pair.right.source.clone()];
     let settings = &config.settings;
     let (detector, matcher) = (&*stages.detector, &*stages.matcher);
@@ -106,11 +106,19 @@ fn reconstruct_views(
             pipeline::reconstruct_rectified(pair, rectified, Vec::new(), detector, matcher, settings, &progress)
         }
     };
-    warnings.extend(chosen.iter().flat_map(|chosen| chosen.series.warnings.clone()));
+    // What a series' header says, its views' headers say again.
+    let of_series = chosen.iter().flat_map(|chosen| chosen.series.warnings.clone());
+    let mut said: Vec<Warning> = Vec::new();
+    for warning in warnings.into_iter().chain(of_series) {
+        if !said.contains(&warning) {
+            said.push(warning);
+        }
+    }
+    let mut warnings = said;
     warnings.append(&mut result.warnings);
     result.warnings = warnings;
     let mut files = Vec::new();
-    if let Some(chosen) = chosen.filter(|chosen| !chosen.pair_only) {
+    if let Some(chosen) = chosen.filter(|chosen| !chosen.pair_only && !result.curves.is_empty()) {
         (result, files) = timed(&progress, Stage::Refine, || chosen.fit(result, config, stages))?;
     }
     let [left, right] = sources;

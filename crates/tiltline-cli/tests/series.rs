@@ -47,8 +47,10 @@ fn a_series_gives_curves_of_all_views_and_these_are_reprojected() {
     assert!(read("views.csv").lines().count() > 3, "{}", read("views.csv"));
     let record: toml::Table = read("run.toml").parse().unwrap();
     assert_eq!(record["run"]["series"]["views"].as_integer(), Some(9));
+    // Eight degrees where both views show enough lines, and never far from it.
     let pair = record["run"]["series"]["pair_deg"].as_array().unwrap();
-    assert_eq!(pair[1].as_float().unwrap() - pair[0].as_float().unwrap(), 8.0);
+    let apart = pair[1].as_float().unwrap() - pair[0].as_float().unwrap();
+    assert!((3.0..=16.0).contains(&apart), "{apart}");
 
     let again = at("reprojection");
     let text = stdout(&mut tiltline(&["reproject", &out, &series, "--views=-12,5", "-o", &again, "-q"]));

@@ -42,7 +42,7 @@ fn alone(pixels: Array2<f32>) -> RectifiedPair {
 impl ViewLines {
     /// Length of all lines, px.
     pub fn length_px(&self) -> f64 {
-        self.traces.traces.iter().map(crate::curve::Trace::length_px).sum()
+        self.traces.traces.iter().map(crate::curve::Trace::length_px).fold(0.0, |sum, length| sum + length)
     }
 }
 
