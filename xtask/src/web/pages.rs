@@ -29,7 +29,7 @@ const SIDE: usize = 1024;
 /// Half the thickness of its foil, px.
 const HALF_THICKNESS_PX: f64 = 90.0;
 /// Text that must be shown, not run.
-const HOSTILE: &str = "\"><img src=x onerror=alert(1)></script></title><script>alert(2)</script><!--.png";
+const HOSTILE: &str = "</script></title><script>alert(2)</script><!--\"><img src=x onerror=alert(1)>.png";
 
 /// Writes the reports, a folder each, over older ones.
 pub fn write(folder: &Path) -> Result<()> {
