@@ -86,7 +86,7 @@ describe("opened from disk", () => {
     const { page, context, data, complaints } = await open(browser, "hostile");
     assert.equal(await page.locator("img, body > script:not([type])").count(), 1, "only the page's own script");
     assert.ok((await page.title()).includes("<img src=x onerror=alert(1)>"));
-    assert.ok((await page.getByRole("heading", { level: 1 }).textContent()).includes("</title><script>alert(2)"));
+    assert.ok((await page.getByRole("heading", { level: 1 }).textContent()).includes('<!--"><img src=x onerror=alert(1)>.png and'));
     assert.ok((await page.locator(".warnings li").last().textContent()).includes(data.warnings.at(-1).message.slice(1)));
     assert.equal(await page.locator("pre").textContent(), data.run);
     assert.deepEqual(complaints, []);
@@ -231,7 +231,7 @@ describe("the foil in 3D", () => {
   });
 
   test("two thousand curves are few draw calls and little script", async () => {
-    const { page, context, data, complaints } = await open(browser, "many");
+    const { page, context, data, complaints } = await open(browser, "many", { viewport: { width: 900, height: 700 } });
     assert.equal(data.curves.length, 2000);
     await page.getByLabel("Error bars").check();
     await page.evaluate(() => window.tiltline.store.select(5));
@@ -239,7 +239,7 @@ describe("the foil in 3D", () => {
     const times = await page.evaluate(async () => {
       const { viewer } = window.tiltline;
       const times = [];
-      for (let frame = 0; frame < 40; frame += 1) {
+      for (let frame = 0; frame < 5; frame += 1) {
         viewer.pose.yaw += 0.01;
         viewer.moved();
         await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
@@ -249,7 +249,7 @@ describe("the foil in 3D", () => {
     });
     const calls = await page.evaluate(() => window.tiltline.viewer.stage.drawCalls);
     assert.ok(calls <= 10, `${calls} draw calls`);
-    const median = times.sort((a, b) => a - b)[20];
+    const median = times.sort((a, b) => a - b)[2];
     console.log(`2,000 curves: ${calls} draw calls, ${median.toFixed(2)} ms of script a frame (median)`);
     assert.deepEqual(complaints, []);
     await context.close();

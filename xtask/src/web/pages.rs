@@ -22,14 +22,15 @@ use tiltline::warning::Warning;
 
 use crate::venv::root;
 
-/// Curves of the large report, and points of each: what a dense foil of 1024 px gives.
+/// Curves of the large report, points of each and px between them: no more points than WebGL in software draws in a moment.
 const MANY: usize = 2000;
-const POINTS: usize = 60;
+const POINTS: usize = 16;
+const STEP_PX: f64 = 4.0;
 const SIDE: usize = 1024;
 /// Half the thickness of its foil, px.
 const HALF_THICKNESS_PX: f64 = 90.0;
 /// Text that must be shown, not run.
-const HOSTILE: &str = "\"><img src=x onerror=alert(1)></script></title><script>alert(2)</script><!--.png";
+const HOSTILE: &str = "</script></title><script>alert(2)</script><!--\"><img src=x onerror=alert(1)>.png";
 
 /// Writes the reports, a folder each, over older ones.
 pub fn write(folder: &Path) -> Result<()> {
@@ -99,10 +100,11 @@ fn many(like: &Report) -> Report {
                 y: Vec::new(),
                 disparity: Vec::new(),
                 sigma: Vec::new(),
-                flags: (0..POINTS).map(|point| if point < 50 { '0' } else { '2' }).collect(),
+                flags: (0..POINTS).map(|point| if point < 12 { '0' } else { '2' }).collect(),
             };
             for step in 0..POINTS {
-                let (t, bend) = (step as f64, 0.01 * step as f64);
+                let t = STEP_PX * step as f64;
+                let bend = 0.01 * t;
                 let z = (z + slope * t).clamp(-HALF_THICKNESS_PX, HALF_THICKNESS_PX);
                 let (x, y) = (x + t * (turn + bend).cos(), y + t * (turn + bend).sin());
                 curve.x.push((x * 1e3).round() / 1e3);
@@ -148,7 +150,7 @@ fn many(like: &Report) -> Report {
             .map(|curve| {
                 let z: Vec<f64> = curve.disparity.iter().map(|disparity| disparity * gain * pixel).collect();
                 CurveMeasures {
-                    length: POINTS as f64 * pixel,
+                    length: POINTS as f64 * STEP_PX * pixel,
                     direction: Some([0.8, 0.6, 0.0]),
                     mean_curvature: None,
                     max_curvature: None,
