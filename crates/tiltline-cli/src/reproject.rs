@@ -76,7 +76,7 @@ pub fn run(flags: &Reproject) -> Result<()> {
     let curves = SavedCurves::read(&flags.result).into_diagnostic()?;
     let series = Series::open(&flags.series, flags.tilts.as_deref(), &config.settings.read).into_diagnostic()?;
     let views = views(flags, &series)?;
-    let stages = Stages::new(&config.method, &config.settings)?;
+    let stages = Stages::new(&config.method, &config.settings, None)?;
     let aligned = match &flags.align {
         Some(path) => {
             let read = transforms::read(path).into_diagnostic()?;
