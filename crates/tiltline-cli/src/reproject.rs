@@ -6,9 +6,7 @@ use clap::Args;
 use miette::{IntoDiagnostic, Result, miette};
 use tiltline::export::{Staging, check_target, reprojection, xf};
 use tiltline::io::{parse_tilts, xf as transforms};
-use tiltline::series::{
-    AlignSettings, AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject,
-};
+use tiltline::series::{AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject};
 
 use crate::args::{Lines, Method, Verbosity};
 use crate::interrupt;
@@ -84,8 +82,8 @@ pub fn run(flags: &Reproject) -> Result<()> {
         }
         None => {
             let count = Count::new("aligning", flags.verbosity);
-            let settings = AlignSettings { axis_rad: Some(curves.poses[0].axis_rad()) };
-            let aligned = align(&series, &settings, &|done, of| count.show(done, of)).into_diagnostic();
+            let aligned =
+                align(&series, curves.poses[0].axis_rad(), &|done, of| count.show(done, of)).into_diagnostic();
             count.clear();
             aligned?
         }

@@ -5,9 +5,7 @@ use serde::Serialize;
 use tiltline::export::{self, xf};
 use tiltline::io::parse_tilts;
 use tiltline::reconstruction::Reconstruction;
-use tiltline::series::{
-    AlignSettings, ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series,
-};
+use tiltline::series::{ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series};
 
 use crate::args::Reconstruct;
 use crate::config::Config;
@@ -80,8 +78,7 @@ impl Chosen {
         stages: &Stages,
     ) -> Result<(Reconstruction, Vec<(&'static str, Vec<u8>)>)> {
         let axis_rad = result.rectified.rectification.rectified_from_left.isometry.rotation.angle();
-        let settings = AlignSettings { axis_rad: Some(-axis_rad) };
-        let aligned = align(&self.series, &settings, &|_, _| ()).into_diagnostic()?;
+        let aligned = align(&self.series, -axis_rad, &|_, _| ()).into_diagnostic()?;
         let mut lines_of =
             |view: usize| Ok(detect_lines(&self.series.view(view)?, &*stages.detector, &config.settings.trace));
         let fit = reconstruct_series(

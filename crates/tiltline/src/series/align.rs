@@ -1,11 +1,8 @@
-//! Alignment of a whole series without any line: shifts of neighbours by phase correlation, and the direction of the tilt axis.
+//! Alignment of a whole series without any line: shifts of neighbours by phase correlation.
 //!
 //! From the least tilted view outwards each view is stretched across the axis to the foreshortening of its neighbour and
-//! correlated with it. The axis is the direction along which every tilt shows the same profile: nothing moves along it, so
-//! the image summed across it is the same in all views. A common shift of the specimen cannot be seen: the axis goes through
+//! correlated with it. The direction of the axis must be known (the rectification of a pair shows it). A common shift of the specimen cannot be seen: the axis goes through
 //! what the views have in common, at the centre of the aligned images.
-
-use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Matrix2, Rotation2};
 use ndarray::Array2;
@@ -23,27 +20,6 @@ use crate::warning::Warning;
 const LARGEST_PX: usize = 320;
 /// A peak that stands out less is no match.
 const LEAST_CONTRAST: f64 = 6.0;
-/// Views compared for the axis, evenly over the tilts, and how far those of a pair are apart in that list.
-const AXIS_VIEWS: usize = 16;
-const AXIS_APART: [usize; 2] = [3, 6];
-/// Steps of the search for the axis, degrees: all directions, then about the best.
-const AXIS_STEPS_DEG: [f64; 2] = [2.0, 0.25];
-/// Mean correlation of profiles below which the axis is not seen.
-const LEAST_AXIS_CORRELATION: f64 = 0.3;
-/// What profiles along the best direction differ by (1 - correlation) must be less than this share of what they differ by along any
-/// direction that is not near it.
-const AXIS_MARGIN: f64 = 0.85;
-/// Directions this near are one, degrees.
-const NEAR_AXIS_DEG: f64 = 12.0;
-/// Furthest a profile is moved along the axis, as a share of its length.
-const MOST_LAG: f64 = 0.05;
-
-/// How a series is aligned.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct AlignSettings {
-    /// Direction of the tilt axis, radians clockwise on the screen from image y, if it is known; else it is looked for.
-    pub axis_rad: Option<f64>,
-}
 
 /// An aligned series.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,15 +40,12 @@ struct Small {
     usable: bool,
 }
 
-/// Aligns a series. `progress` is told how many views are read.
+/// Aligns a series whose tilt axis has the direction `axis_rad`, radians clockwise on the screen from image y. `progress` is told
+/// how many views are read.
 ///
 /// # Errors
 /// Where a view cannot be read, or fewer than two show anything.
-pub fn align(
-    series: &Series,
-    settings: &AlignSettings,
-    progress: &dyn Fn(usize, usize),
-) -> Result<AlignedSeries, SeriesError> {
+pub fn align(series: &Series, axis_rad: f64, progress: &dyn Fn(usize, usize)) -> Result<AlignedSeries, SeriesError> {
     let count = series.views.len();
     let step = series.shape.iter().max().copied().unwrap_or(1).div_ceil(LARGEST_PX);
     let mut small = Vec::with_capacity(count);
@@ -91,19 +64,7 @@ pub fn align(
         warnings.push(Warning::new(Stage::Read, message));
     }
     let tilts: Vec<f64> = series.views.iter().map(|view| view.tilt_deg.to_radians()).collect();
-    // Neighbours are hardly stretched: a first alignment without the axis is good enough to see it.
-    let (origins, _) = chain(&small, &tilts, None);
-    let axis_rad = match settings.axis_rad {
-        Some(axis) => axis,
-        None => match find_axis(&small, &origins, &tilts) {
-            Ok(axis) => axis,
-            Err(message) => {
-                warnings.push(Warning::new(Stage::Rectify, message));
-                0.0
-            }
-        },
-    };
-    let (origins, contrast) = chain(&small, &tilts, Some(axis_rad));
+    let (origins, contrast) = chain(&small, &tilts, axis_rad);
     let lost: Vec<String> = (0..count)
         .filter(|&view| small[view].usable && contrast[view] < LEAST_CONTRAST)
         .map(|view| format!("{}", series.views[view].tilt_deg))
@@ -206,7 +167,7 @@ fn reduced(image: &Array2<f32>, step: usize) -> Small {
 }
 
 /// Where what lies in the centre of the least tilted view lies in every view, and how far the shifts stand out.
-fn chain(small: &[Small], tilts: &[f64], axis_rad: Option<f64>) -> (Vec<Point2>, Vec<f64>) {
+fn chain(small: &[Small], tilts: &[f64], axis_rad: f64) -> (Vec<Point2>, Vec<f64>) {
     let shape = small[0].image.dim();
     let middle = centre([shape.0, shape.1]);
     let usable: Vec<usize> = (0..small.len()).filter(|&view| small[view].usable).collect();
@@ -220,8 +181,8 @@ fn chain(small: &[Small], tilts: &[f64], axis_rad: Option<f64>) -> (Vec<Point2>,
         .par_iter()
         .map(|&(from, to)| {
             // The further view is narrower across the axis: stretched to its neighbour.
-            let narrower = axis_rad.map_or(1.0, |_| tilts[to].cos() / tilts[from].cos());
-            let turn = Rotation2::new(axis_rad.unwrap_or(0.0));
+            let narrower = tilts[to].cos() / tilts[from].cos();
+            let turn = Rotation2::new(axis_rad);
             let matrix = turn.matrix() * Matrix2::new(narrower, 0.0, 0.0, 1.0) * turn.inverse().matrix();
             let stretched = warped(&small[to].image, &matrix, &middle);
             let spectra = [&small[from].image, &stretched].map(|image| correlator.spectrum(image));
@@ -249,93 +210,4 @@ fn warped(image: &Array2<f32>, matrix: &Matrix2<f64>, middle: &Point2) -> Array2
         let at = middle + matrix * (Point2::new(column as f64, row as f64) - middle);
         sample_linear(&image.view(), at.x, at.y).unwrap_or(0.0)
     })
-}
-
-/// The direction along which profiles agree best, or why it is not seen.
-fn find_axis(small: &[Small], origins: &[Point2], tilts: &[f64]) -> Result<f64, String> {
-    let usable: Vec<usize> = (0..small.len()).filter(|&view| small[view].usable).collect();
-    let chosen: Vec<usize> = match usable.len() {
-        few if few <= AXIS_VIEWS => usable,
-        many => (0..AXIS_VIEWS).map(|at| usable[at * (many - 1) / (AXIS_VIEWS - 1)]).collect(),
-    };
-    let span_deg = (tilts[chosen[chosen.len() - 1]] - tilts[chosen[0]]).to_degrees();
-    let agreement = |axis_rad: f64| {
-        let profiles: Vec<Vec<f64>> =
-            chosen.iter().map(|&view| profile(&small[view].image, &origins[view], axis_rad)).collect();
-        let apart = AXIS_APART.map(|apart| apart.min(chosen.len() - 1));
-        let pairs = apart.into_iter().flat_map(|apart| (apart..chosen.len()).map(move |at| (at - apart, at)));
-        let pairs: Vec<f64> = pairs.map(|(a, b)| correlation(&profiles[a], &profiles[b])).collect();
-        pairs.iter().sum::<f64>() / pairs.len().max(1) as f64
-    };
-    let steps = (PI / AXIS_STEPS_DEG[0].to_radians()).round() as i32;
-    let coarse: Vec<(f64, f64)> = (0..steps)
-        .into_par_iter()
-        .map(|step| {
-            let axis = -FRAC_PI_2 + f64::from(step + 1) * AXIS_STEPS_DEG[0].to_radians();
-            (agreement(axis), axis)
-        })
-        .collect();
-    let best = coarse.iter().copied().fold((f64::NEG_INFINITY, 0.0), |a, b| if b.0 > a.0 { b } else { a });
-    let apart_deg = |axis: f64| {
-        let off = (axis - best.1).to_degrees().rem_euclid(180.0);
-        off.min(180.0 - off)
-    };
-    let rival = coarse.iter().filter(|(_, axis)| apart_deg(*axis) > NEAR_AXIS_DEG).map(|(score, _)| *score);
-    let rival = rival.fold(f64::NEG_INFINITY, f64::max);
-    if best.0 < LEAST_AXIS_CORRELATION || 1.0 - best.0 > AXIS_MARGIN * (1.0 - rival) {
-        return Err(format!(
-            "the direction of the tilt axis does not show in the {span_deg:.0} degrees of the series (profiles along {:.0} \
-             degrees agree best, with correlation {:.2}, and others with {rival:.2}): it is taken as 0, vertical; give --tilt-axis",
-            best.1.to_degrees(),
-            best.0
-        ));
-    }
-    let fine = (-12..=12).map(|step| {
-        let axis = best.1 + f64::from(step) * AXIS_STEPS_DEG[1].to_radians();
-        (agreement(axis), axis)
-    });
-    let axis = fine.fold(best, |a, b| if b.0 > a.0 { b } else { a }).1;
-    // Directions 180 degrees apart are one axis; which of them is up only turns the sign of depth.
-    Ok(if axis > FRAC_PI_2 + 1e-9 { axis - PI } else { axis })
-}
-
-/// The image summed across the axis, by place along it from the view's origin; weighted towards the middle.
-fn profile(image: &Array2<f32>, origin: &Point2, axis_rad: f64) -> Vec<f64> {
-    let (height, width) = image.dim();
-    let reach = 0.5 * height.min(width) as f64;
-    let length = 2 * reach as usize + 1;
-    let (sin, cos) = axis_rad.sin_cos();
-    let (mut sums, mut weights) = (vec![0.0; length + 1], vec![1e-9; length + 1]);
-    for ((row, column), value) in image.indexed_iter() {
-        let (x, y) = (column as f64 - origin.x, row as f64 - origin.y);
-        let (along, across) = (y * cos - x * sin, x * cos + y * sin);
-        let place = along + reach;
-        if place < 0.0 || place >= length as f64 || across.abs() > reach {
-            continue;
-        }
-        let weight = 0.5 + 0.5 * (PI * across / reach).cos();
-        let (cell, part) = (place as usize, place.fract());
-        for (cell, share) in [(cell, 1.0 - part), (cell + 1, part)] {
-            sums[cell] += weight * share * f64::from(*value);
-            weights[cell] += weight * share;
-        }
-    }
-    sums.iter().zip(&weights).map(|(sum, weight)| if *weight > 1.0 { sum / weight } else { 0.0 }).collect()
-}
-
-/// Highest correlation coefficient of two profiles over small moves.
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let most = (MOST_LAG * a.len() as f64) as isize;
-    let at = |lag: isize| {
-        let overlap = (0..a.len() as isize).filter(|i| (0..b.len() as isize).contains(&(i + lag)));
-        let pairs: Vec<(f64, f64)> = overlap.map(|i| (a[i as usize], b[(i + lag) as usize])).collect();
-        let count = pairs.len().max(1) as f64;
-        let (ma, mb) = pairs.iter().fold((0.0, 0.0), |(x, y), (u, v)| (x + u / count, y + v / count));
-        let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
-        for (u, v) in pairs {
-            (ab, aa, bb) = (ab + (u - ma) * (v - mb), aa + (u - ma).powi(2), bb + (v - mb).powi(2));
-        }
-        if aa * bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
-    };
-    (-most..=most).map(at).fold(f64::NEG_INFINITY, f64::max)
 }

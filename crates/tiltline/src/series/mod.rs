@@ -1,7 +1,6 @@
 //! Tilt series: many views of one foil, each at its own tilt.
 //!
-//! [`read`] opens one (a stack with tilts, or a folder of images); [`align`] finds how the views lie on each other and the
-//! tilt axis; [`choose`] picks a pair for a reconstruction. [`saved`] reads a result back, [`register`] finds the pose of a
+//! [`read`] opens one (a stack with tilts, or a folder of images); [`align`] finds how the views lie on each other; [`choose`] picks a pair for a reconstruction. [`saved`] reads a result back, [`register`] finds the pose of a
 //! view from the curves, and [`reproject`] measures how well curves fit views that were not used (paper, Figure 7).
 //!
 //! Angles are radians unless a name ends in `_deg`; poses are [`ViewPose`]s (CONVENTIONS.md for signs).
@@ -21,7 +20,7 @@ mod register;
 mod reproject;
 mod saved;
 
-pub use align::{AlignSettings, AlignedSeries, align};
+pub use align::{AlignedSeries, align};
 pub use checks::{Checks, PairOrder, PairTilts};
 pub use choose::{ChosenPair, choose_pair, pair_at};
 pub use error::SeriesError;
