@@ -91,6 +91,25 @@ fn a_benchmark_counts_pairs_that_fail_and_goes_on_where_it_stopped() {
     assert!(stderr(tiltline().arg("score").arg(&out), 1).contains("left.tif"));
 }
 
+/// Lines, disparities and rows that are true leave the errors of tracing only: a wrong sign or a shift in any of the three would show.
+#[test]
+fn truth_in_place_of_all_stages_is_found_nearly_without_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, out) = (folder.path().join("data"), folder.path().join("bench"));
+    stdout(&mut simulate(&data, &["--count", "2", "--seed", "5"]));
+    let truth = ["--detector", "truth", "--matcher", "truth"];
+    stdout(tiltline().arg("bench").arg(&data).arg("-o").arg(&out).args(truth).arg("--known-rectification"));
+    let json = stdout(tiltline().arg("score").arg(&out).arg("--json"));
+    let scores: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let figure = |name: &str| scores["summary"]["all"]["figures"][name]["value"].as_f64().unwrap();
+    // Crossing lines, which tracing may mix up, keep these from 1 and 0.
+    assert!(figure("coverage") > 0.9 && figure("epe_px") < 0.3, "{} {}", figure("coverage"), figure("epe_px"));
+    let result = folder.path().join("result");
+    let images = ["left.tif", "right.tif"].map(|name| data.join("00000").join(name));
+    let refused = stderr(tiltline().arg("reconstruct").args(images).args(truth).arg("-o").arg(&result), 1);
+    assert!(refused.contains("tiltline bench") && !result.exists(), "{refused}");
+}
+
 #[test]
 fn bad_input_is_named_and_nothing_is_written() {
     let folder = tempfile::tempdir().unwrap();
