@@ -104,9 +104,9 @@ fn number(value: &Value, pointer: &str) -> Result<f64> {
 
 fn row(page: &mut String, words: &str, scores: &Value) -> Result<()> {
     let figure = |name: &str| number(scores, &format!("/summary/all/figures/{name}/value"));
-    write!(
+    writeln!(
         page,
-        "| {words} | {:.3} | {:.2} | {:.1} | {:.3} | {:.3} | {:.3} | {:.3} |\n",
+        "| {words} | {:.3} | {:.2} | {:.1} | {:.3} | {:.3} | {:.3} | {:.3} |",
         figure("coverage")?,
         figure("epe_px")?,
         figure("bad_1_percent")?,

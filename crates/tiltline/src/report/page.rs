@@ -27,7 +27,7 @@ pub fn write(report: &Report) -> Result<String, ReportError> {
     Ok([before_title, &title, before_data, &json, after_data].concat())
 }
 
-/// The report in a page that [`write`] made.
+/// The report in a page that [`write()`] made.
 ///
 /// # Errors
 /// Where there is none, or one of another version.
