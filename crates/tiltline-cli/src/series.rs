@@ -12,6 +12,9 @@ use crate::config::Config;
 use crate::method::Stages;
 use crate::reconstruct::wrong_usage;
 
+/// Name and content of a file of a result.
+pub type NamedFile = (&'static str, Vec<u8>);
+
 /// The part of `[run]` that says which views of which series were used.
 #[derive(Clone, Debug, Serialize)]
 pub struct SeriesRecord {
@@ -76,7 +79,7 @@ impl Chosen {
         result: Reconstruction,
         config: &Config,
         stages: &Stages,
-    ) -> Result<(Reconstruction, Vec<(&'static str, Vec<u8>)>)> {
+    ) -> Result<(Reconstruction, Vec<NamedFile>)> {
         let axis_rad = result.rectified.rectification.rectified_from_left.isometry.rotation.angle();
         let aligned = align(&self.series, -axis_rad, &|_, _| ()).into_diagnostic()?;
         let mut lines_of =

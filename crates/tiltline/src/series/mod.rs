@@ -1,6 +1,7 @@
 //! Tilt series: many views of one foil, each at its own tilt.
 //!
-//! [`Series`] opens one (a stack with tilts, or a folder of images); [`align`] finds how the views lie on each other; [`choose_pair`] picks a pair for a reconstruction. [`SavedCurves`] reads a result back, [`register`] finds the pose of a
+//! [`Series`] opens one (a stack with tilts, or a folder of images); [`align`] finds how the views lie on each other;
+//! [`choose_pair`] picks a pair for a reconstruction. [`SavedCurves`] reads a result back, [`register`] finds the pose of a
 //! view from the curves, and [`reproject`] measures how well curves fit views that were not used (paper, Figure 7).
 //!
 //! Angles are radians unless a name ends in `_deg`; poses are [`ViewPose`]s (CONVENTIONS.md for signs).
