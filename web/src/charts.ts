@@ -95,3 +95,40 @@ export function map(label: string, points: { x: number; y: number; colour: Rgb; 
   }
   return plot;
 }
+
+/** A value at a place with a range above it; hollow where it is not a test. */
+export interface Spot {
+  x: number;
+  y: number;
+  /** Ends of a line through it. */
+  low: number;
+  high: number;
+  hollow: boolean;
+  text: string;
+}
+
+/** Values with ranges over x, with horizontal marks. What lies above the chart is drawn at its top. */
+export function spots(label: string, found: Spot[], yRange: [number, number], xTitle: string, yTitle: string, marks: { value: number; text: string }[] = []): SVGElement {
+  const xs = found.map((spot) => spot.x);
+  const spare = 0.04 * (Math.max(...xs) - Math.min(...xs)) || 1;
+  const { plot, x, y } = axes(label, [Math.min(...xs) - spare, Math.max(...xs) + spare], yRange, xTitle, yTitle, HEIGHT);
+  const at = (value: number) => y(Math.min(Math.max(value, yRange[0]), yRange[1]));
+  for (const { value, text } of marks) {
+    plot.append(
+      s("line", { x1: MARGIN.left, x2: WIDTH - MARGIN.right, y1: at(value), y2: at(value), class: "mark" }),
+      s("text", { x: WIDTH - MARGIN.right - 4, y: at(value) - 5, "text-anchor": "end" }, text),
+    );
+  }
+  for (const spot of found) {
+    plot.append(
+      s(
+        "g",
+        { class: spot.hollow ? "spot hollow" : "spot" },
+        s("line", { x1: x(spot.x), x2: x(spot.x), y1: at(spot.low), y2: at(spot.high) }),
+        s("circle", { cx: x(spot.x), cy: at(spot.y), r: 3.5 }),
+        s("title", {}, spot.text),
+      ),
+    );
+  }
+  return plot;
+}

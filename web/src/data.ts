@@ -83,6 +83,52 @@ export interface Report {
   };
   warnings: { stage: string; message: string }[];
   run: string;
+  series?: Series;
+}
+
+/** The other views of the series that the pair is of. */
+export interface Series {
+  path: string;
+  fitted: boolean;
+  views: SeriesView[];
+  checks: string[];
+  pictures: ViewPicture[];
+  tomogram?: Tomogram;
+}
+
+export interface SeriesView {
+  tilt_deg: number;
+  in_pair: boolean;
+  supported: boolean;
+  distances: { points: number; median_px: number; percent95_px: number; within_2px: number; within_5px: number; chance_within_3px: number } | null;
+  tilt_error_deg?: [number, number];
+}
+
+type Row = [number, number, number, number];
+
+export interface ViewPicture {
+  tilt_deg: number;
+  size_px: [number, number];
+  image: string;
+  step_px: number;
+  projection: [Row, Row];
+  lines: number[][];
+}
+
+export interface Tomogram {
+  method: string;
+  comparison: {
+    threshold: number;
+    share: number;
+    result: [number, number];
+    tomogram: [number, number];
+    reach_px: [number, number];
+    depth_px: [number, number] | null;
+  };
+  size: [number, number, number];
+  above: string;
+  edge: string;
+  voxels: [Row, Row, Row];
 }
 
 export interface View {

@@ -7,6 +7,7 @@ import { h } from "./dom";
 import { downloads } from "./downloads";
 import { Images } from "./images";
 import { caveat, charts, keyFigures, runRecord, subtitle, title, warnings } from "./numbers";
+import { series } from "./series";
 import { Store } from "./store";
 import { details, table } from "./table";
 import { Viewer } from "./viewer";
@@ -26,6 +27,7 @@ const section = (id: string, name: string, ...children: HTMLElement[]) =>
 const links = [
   ["foil", "In 3D"],
   ["images", "Images"],
+  ...(model.report.series ? [["series", "Series"]] : []),
   ["numbers", "Numbers"],
   ["run", "Run and files"],
 ];
@@ -44,6 +46,7 @@ document.body.append(
     h("p", { class: "caveat" }, caveat(model)),
     section("foil", "In 3D", h("div", { class: "split" }, viewer.element, h("aside", { "aria-label": "Curves" }, details(store), table(store)))),
     section("images", "Images", images.element),
+    ...[series(store)].filter((part) => part !== null).map((part) => section("series", "Other views of the series", part)),
     section("numbers", "Numbers", ...[warnings(model)].filter((part) => part !== null), charts(store)),
     section("run", "Run and files", h("div", { class: "split" }, runRecord(model), h("aside", { "aria-label": "Downloads" }, h("h3", {}, "Save from this page"), downloads(model)))),
   ),

@@ -3,6 +3,7 @@
 
 mod args;
 mod bench;
+mod compared;
 mod config;
 mod dataset;
 mod info;

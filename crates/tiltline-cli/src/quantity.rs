@@ -23,6 +23,11 @@ const UNITS: [(&str, f64); 10] = [
     ("m", 1e9),
 ];
 
+/// A number with six digits that count at most, and no zeros at its end: a pixel is never known better.
+pub fn short(value: f64) -> String {
+    format!("{value:.5e}").parse::<f64>().map_or_else(|_| value.to_string(), |rounded| rounded.to_string())
+}
+
 impl FromStr for PixelSize {
     type Err = String;
 

@@ -117,9 +117,10 @@ fn reconstruct_views(
     let mut warnings = said;
     warnings.append(&mut result.warnings);
     result.warnings = warnings;
-    let mut files = Vec::new();
+    let (mut files, mut series) = (Vec::new(), None);
     if let Some(chosen) = chosen.filter(|chosen| !chosen.pair_only && !result.curves.is_empty()) {
-        (result, files) = timed(&progress, Stage::Refine, || chosen.fit(result, config, stages))?;
+        let fit = timed(&progress, Stage::Refine, || chosen.fit(result, config, stages))?;
+        (result, files, series) = (fit.0, fit.1, Some(fit.2));
     }
     let [left, right] = sources;
     let record = RunRecord {
@@ -133,7 +134,8 @@ fn reconstruct_views(
     };
     timed(&progress, Stage::Export, || {
         let run = run_toml(config, &record)?;
-        let report = Report::new(&result, &run).and_then(|report| page::write(&report)).into_diagnostic()?;
+        let report = Report::new(&result, &run).into_diagnostic()?;
+        let report = page::write(&Report { series, ..report }).into_diagnostic()?;
         // The record comes last: it says that the rest is complete.
         files.extend([("report.html", report.into_bytes()), ("run.toml", run.into_bytes())]);
         interrupt::write_all(&result, &files, output, force)

@@ -9,9 +9,9 @@ use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 use tiltline::export::Staging;
 use tiltline::report::{figures, page};
-use tiltline::temporary;
 
 use crate::args::Report;
+use crate::interrupt;
 use crate::output;
 
 /// Name of the page in a result's folder.
@@ -30,17 +30,35 @@ pub fn report_in(result: &Path) -> Result<PathBuf> {
     Err(miette!("there is no {}: name a folder that `tiltline reconstruct` wrote, or a {REPORT}", path.display()))
 }
 
+/// Changes the report in a result's folder. Returns whether there is one.
+pub fn update(folder: &Path, change: impl FnOnce(&mut tiltline::report::Report)) -> Result<bool> {
+    let path = if folder.is_dir() { folder.join(REPORT) } else { folder.with_file_name(REPORT) };
+    if !path.is_file() {
+        return Ok(false);
+    }
+    let mut report = read(&path)?;
+    change(&mut report);
+    write(&path, &report)?;
+    Ok(true)
+}
+
+fn read(path: &Path) -> Result<tiltline::report::Report> {
+    let text =
+        std::fs::read_to_string(path).into_diagnostic().wrap_err_with(|| format!("cannot read {}", path.display()))?;
+    page::read(&text).into_diagnostic().wrap_err_with(|| format!("in {}", path.display()))
+}
+
+fn write(path: &Path, report: &tiltline::report::Report) -> Result<()> {
+    let page = page::write(report).into_diagnostic()?;
+    interrupt::write_file(path, |file| file.write_all(page.as_bytes()).into_diagnostic())
+}
+
 /// Runs the command.
 pub fn run(flags: &Report) -> Result<()> {
     let path = report_in(&flags.result)?;
-    let text =
-        std::fs::read_to_string(&path).into_diagnostic().wrap_err_with(|| format!("cannot read {}", path.display()))?;
-    let report = page::read(&text).into_diagnostic().wrap_err_with(|| format!("in {}", path.display()))?;
+    let report = read(&path)?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let page = page::write(&report).into_diagnostic()?;
-    replace(&path, folder, page.as_bytes())
-        .into_diagnostic()
-        .wrap_err_with(|| format!("cannot write {}", path.display()))?;
+    write(&path, &report)?;
     let mut written = vec![path.clone()];
     if flags.png {
         let staging = Staging::begin(&folder.join("figures"), true).into_diagnostic()?;
@@ -57,14 +75,6 @@ pub fn run(flags: &Report) -> Result<()> {
     }
     let lines: Vec<String> = written.iter().map(|path| format!("{}\n", path.display())).collect();
     output::print(&lines.concat())
-}
-
-/// Writes a file that takes its place when it is complete.
-fn replace(path: &Path, folder: &Path, content: &[u8]) -> std::io::Result<()> {
-    let mut file = temporary::file_in(folder, ".tiltline-")?;
-    file.write_all(content)?;
-    file.persist(path).map_err(|error| error.error)?;
-    Ok(())
 }
 
 /// A figure as PNG at [`DOTS_PER_INCH`].

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, WrapErr, miette};
 use tiltline::export::{Staging, check_target, reprojection, xf};
 use tiltline::io::{parse_tilts, xf as transforms};
+use tiltline::report::series::ReportSeries;
 use tiltline::series::{AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject};
 
 use crate::args::{Lines, Method, Verbosity};
@@ -14,9 +15,7 @@ use crate::method::{Detector, Stages};
 use crate::output;
 use crate::progress::Count;
 use crate::reconstruct::{method, wrong_usage};
-
-/// Pictures are made of so many views at most where none are named.
-const PICTURES: usize = 8;
+use crate::report;
 
 /// Flags of `tiltline reproject`.
 #[derive(Debug, Args)]
@@ -104,12 +103,20 @@ pub fn run(flags: &Reproject) -> Result<()> {
     found.warnings = warnings;
     let pictures = pictures(flags, &views);
     interrupt::write_folder(&flags.output, flags.force, |staging| write(staging, &found, &curves, &series, &pictures))?;
+    let section = ReportSeries::of_reprojection(&found, &series, &curves, &ReportSeries::pictured(&pictures))
+        .into_diagnostic()?;
+    let shown = report::update(&flags.result, |report| {
+        let tomogram = report.series.take().and_then(|before| before.tomogram);
+        report.series = Some(ReportSeries { tomogram, ..section });
+    })
+    .wrap_err("the re-projection is written, but the report of the result cannot show it")?;
     if flags.json {
         let mut text = Vec::new();
         reprojection::write_json(&found, &curves, &mut text).into_diagnostic()?;
         return output::print(&String::from_utf8_lossy(&text));
     }
-    output::print(&format!("{}written to {}\n", text(&found), flags.output.display()))
+    let page = if shown { ", and shown in report.html of the result" } else { "" };
+    output::print(&format!("{}written to {}{page}\n", text(&found), flags.output.display()))
 }
 
 /// The record of the run, which says how lines were found.
@@ -130,10 +137,7 @@ fn views(flags: &Reproject, series: &Series) -> Result<Vec<usize>> {
 }
 
 fn pictures(flags: &Reproject, views: &[usize]) -> Vec<usize> {
-    if flags.views.is_some() || views.len() <= PICTURES {
-        return views.to_vec();
-    }
-    (0..PICTURES).map(|at| views[at * (views.len() - 1) / (PICTURES - 1)]).collect()
+    if flags.views.is_some() { views.to_vec() } else { ReportSeries::pictured(views) }
 }
 
 fn write(

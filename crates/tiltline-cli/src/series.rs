@@ -5,6 +5,7 @@ use serde::Serialize;
 use tiltline::export::{self, xf};
 use tiltline::io::parse_tilts;
 use tiltline::reconstruction::Reconstruction;
+use tiltline::report::series::ReportSeries;
 use tiltline::series::{ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series};
 
 use crate::args::Reconstruct;
@@ -73,13 +74,13 @@ impl Chosen {
         self.pair.views.map(|view| self.series.views[view].spec.as_str())
     }
 
-    /// Fits the pair's curves to all views. Returns the result and the files that say how the views lie.
+    /// Fits the pair's curves to all views. Returns the result, the files that say how the views lie, and what the report shows.
     pub fn fit(
         &self,
         result: Reconstruction,
         config: &Config,
         stages: &Stages,
-    ) -> Result<(Reconstruction, Vec<NamedFile>)> {
+    ) -> Result<(Reconstruction, Vec<NamedFile>, ReportSeries)> {
         let axis_rad = result.rectified.rectification.rectified_from_left.isometry.rotation.angle();
         let aligned = align(&self.series, -axis_rad, &|_, _| ()).into_diagnostic()?;
         let mut lines_of =
@@ -102,9 +103,10 @@ impl Chosen {
         xf::write_xf(&matrices, &mut transforms).into_diagnostic()?;
         xf::write_tlt(&fit.refined.tilts_deg(&self.series), &mut tilts).into_diagnostic()?;
         let files = vec![("views.csv", views), ("series.xf", transforms), ("series.tlt", tilts)];
+        let shown = ReportSeries::of_fit(&fit, &self.series).into_diagnostic()?;
         let mut reconstruction = fit.reconstruction;
         reconstruction.warnings.extend(aligned.warnings);
-        Ok((reconstruction, files))
+        Ok((reconstruction, files, shown))
     }
 
     /// The record.

@@ -6,18 +6,20 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use miette::{IntoDiagnostic, Result, miette};
-use ndarray::Array2;
+use ndarray::{Array2, s};
 use tiltline::export::mrc_volume::VolumeWriter;
-use tiltline::io::{ReadOptions, open, parse_tilts};
+use tiltline::io::{ReadOptions, xf as transforms};
 use tiltline::progress::Event;
-use tiltline::tomography::prepare::{PrepareSettings, prepare, upright};
+use tiltline::series::{AlignedSeries, Series, align};
+use tiltline::tomography::prepare::{PrepareSettings, prepare, upright, upright_from_projection};
 use tiltline::tomography::{Filter, Geometry, Method, SirtSettings, WbpSettings, coverage, evenly_spaced, reconstruct};
 
 use crate::args::Verbosity;
+use crate::compared::{Compared, whole};
 use crate::interrupt;
 use crate::output;
 use crate::progress::Count;
-use crate::quantity::PixelSize;
+use crate::quantity::{PixelSize, short};
 use crate::reconstruct::wrong_usage;
 
 /// Flags of `tiltline tomography`.
@@ -25,24 +27,33 @@ use crate::reconstruct::wrong_usage;
 pub struct Tomography {
     /// How the volume is made.
     pub method: Kind,
-    /// The series: a stack (MRC, ST, TIFF) whose views are aligned.
+    /// The series: a stack (MRC, ST, TIFF) with its tilts, or a folder of images.
     pub series: String,
     /// The volume, MRC of 32-bit floats (docs/formats.md).
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    /// Tilts in degrees, one a view: LIST, START:END:STEP, or a FILE (.tlt, .rawtlt, .mdoc). Overrides the file's.
+    /// Tilts in degrees, one a view: LIST, START:END:STEP, or a FILE (.tlt, .rawtlt, .mdoc; for a folder also .csv).
     #[arg(long, value_name = "LIST|START:END:STEP|FILE", allow_hyphen_values = true)]
     pub tilts: Option<String>,
     /// Use only so many views, evenly spaced from the least tilt to the largest.
     #[arg(long = "use", value_name = "COUNT")]
     pub views: Option<usize>,
-    /// Direction of the tilt axis, degrees clockwise on the screen from image y (0 vertical, 90 horizontal).
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_hyphen_values = true)]
-    pub tilt_axis: f64,
+    /// How the views lie on each other: IMOD's .xf (one line a section), or auto for phase correlation. Without it they are
+    /// taken to be aligned.
+    #[arg(long, value_name = "FILE.xf|auto")]
+    pub align: Option<String>,
+    /// Compare with the curves of a result of this series, and show both in its report. Aligns by the series.xf of the result or
+    /// of its reprojection/, unless --align is given.
+    #[arg(long, value_name = "RESULT")]
+    pub compare: Option<PathBuf>,
+    /// Direction of the tilt axis, degrees clockwise on the screen from image y (0 vertical, 90 horizontal); an .xf says its own
+    /// [default: 0].
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
+    pub tilt_axis: Option<f64>,
     /// How far the tilt axis lies beside the middle of the views, px to the right once it is upright.
     #[arg(long, value_name = "PX", default_value_t = 0.0, allow_hyphen_values = true)]
     pub axis_offset: f64,
-    /// Layers of the volume [default: as many as it is wide].
+    /// Layers of the volume [default: as many as it is wide; with --compare as many as the curves need].
     #[arg(long, value_name = "PX")]
     pub depth: Option<usize>,
     /// Take the views' relative difference from their background, a mean over a Gaussian of this standard deviation: for lines.
@@ -111,7 +122,7 @@ pub fn run(flags: &Tomography) -> Result<()> {
             Method::Sirt(settings)
         }
     };
-    for (name, value) in [("--tilt-axis", flags.tilt_axis), ("--axis-offset", flags.axis_offset)] {
+    for (name, value) in [("--tilt-axis", flags.tilt_axis.unwrap_or(0.0)), ("--axis-offset", flags.axis_offset)] {
         if !value.is_finite() {
             wrong_usage(&format!("{name} {value} is not a number"));
         }
@@ -123,12 +134,15 @@ pub fn run(flags: &Tomography) -> Result<()> {
         return Err(miette!("{} is there already; name another file, or give --force", flags.output.display()));
     }
     let start = Instant::now();
-    let Views { images, tilts_deg, pixel_size_nm } = read(flags)?;
+    let result = flags.compare.as_deref().map(Compared::read).transpose()?;
+    let Views { series, images, tilts_deg, pixel_size_nm } = read(flags, result.as_ref())?;
     let tilts_rad: Vec<f64> = tilts_deg.iter().map(|tilt| tilt.to_radians()).collect();
     let covered = coverage(&tilts_rad).into_diagnostic()?;
     let (rows, width) = images[0].dim();
-    let mut geometry = Geometry::centred(tilts_rad, width, flags.depth.unwrap_or(width));
+    let depth = flags.depth.or(result.as_ref().map(Compared::depth)).unwrap_or(width);
+    let mut geometry = Geometry::centred(tilts_rad, width, depth);
     geometry.axis_column += flags.axis_offset;
+    let whole = result.as_ref().map(|_| whole([geometry.depth, rows, width])).transpose()?.map(Mutex::new);
 
     let progress = Count::new("slabs", flags.verbosity);
     interrupt::write_file(&flags.output, |file| {
@@ -140,11 +154,15 @@ pub fn run(flags: &Tomography) -> Result<()> {
             }
         };
         reconstruct(&images, &geometry, &method, &show, &|slab| {
-            let mut writer = writer.lock().expect("no thread panics while it holds the lock");
-            Ok(writer.write_rows(slab.first_row, slab.values.view())?)
+            if let Some(whole) = &whole {
+                let last = slab.first_row + slab.values.dim().1;
+                let mut whole = whole.lock().expect(LOCK);
+                whole.slice_mut(s![.., slab.first_row..last, ..]).assign(&slab.values);
+            }
+            Ok(writer.lock().expect(LOCK).write_rows(slab.first_row, slab.values.view())?)
         })
         .into_diagnostic()?;
-        let writer = writer.into_inner().expect("no thread panics while it holds the lock");
+        let writer = writer.into_inner().expect(LOCK);
         writer.finish().map(drop).into_diagnostic()
     })?;
     progress.clear();
@@ -157,10 +175,19 @@ pub fn run(flags: &Tomography) -> Result<()> {
     } else {
         format!("no missing wedge (largest step {missing:.1} degrees)")
     };
-    let unit = pixel_size_nm.map_or("1 voxel is 1 px of the views".into(), |size| format!("{size} nm a voxel"));
+    let unit =
+        pixel_size_nm.map_or("1 voxel is 1 px of the views".into(), |size| format!("{} nm a voxel", short(size)));
+    let compared = match (result, whole) {
+        (Some(result), Some(whole)) => {
+            let method = format!("{}, {} views from {least} to {largest} degrees", named(&method), images.len());
+            result.report(&whole.into_inner().expect(LOCK), &geometry, method, &series)?
+        }
+        _ => String::new(),
+    };
+    let warnings: String = series.warnings.iter().map(|warning| format!("warning    {warning}\n")).collect();
     output::print(&format!(
         "views      {} from {least} to {largest} degrees, {wedge}\nvolume     {width} x {rows} x {} voxels, {unit}\n\
-         time       {:.1} s\nwritten to {}\n",
+         time       {:.1} s\n{compared}{warnings}written to {}\n",
         images.len(),
         geometry.depth,
         start.elapsed().as_secs_f64(),
@@ -168,49 +195,63 @@ pub fn run(flags: &Tomography) -> Result<()> {
     ))
 }
 
+const LOCK: &str = "no thread panics while it holds the lock";
+
+fn named(method: &Method) -> String {
+    match method {
+        Method::Wbp(_) => "weighted back projection".into(),
+        Method::Sirt(settings) => format!("SIRT, {} iterations", settings.iterations),
+    }
+}
+
 /// Prepared views with their tilts.
 struct Views {
+    series: Series,
     images: Vec<Array2<f32>>,
     tilts_deg: Vec<f64>,
     pixel_size_nm: Option<f64>,
 }
 
 /// Reads the views that are used, one at a time.
-fn read(flags: &Tomography) -> Result<Views> {
-    let mut file = open(&flags.series, &ReadOptions::default()).into_diagnostic()?;
-    let header = file.header().clone();
-    let tilts_deg = match (&flags.tilts, header.tilts_deg) {
-        (Some(text), _) => parse_tilts(text).unwrap_or_else(|error| wrong_usage(&format!("--tilts {text}: {error}"))),
-        (None, Some(found)) => found.value,
-        (None, None) => {
-            return Err(miette!(
-                "the tilts of {} are neither in it nor beside it; give them, for example --tilts=-60:60:2",
-                flags.series
-            ));
-        }
-    };
-    if tilts_deg.len() != header.pages {
-        return Err(miette!("{} has {} views, and {} tilts were given", flags.series, header.pages, tilts_deg.len()));
-    }
+fn read(flags: &Tomography, result: Option<&Compared>) -> Result<Views> {
+    let series = Series::open(&flags.series, flags.tilts.as_deref(), &ReadOptions::default()).into_diagnostic()?;
+    let tilts_deg = series.tilts_deg();
     let chosen = match flags.views {
         Some(count) => evenly_spaced(&tilts_deg, count).into_diagnostic()?,
-        None => (0..header.pages).collect(),
+        None => (0..tilts_deg.len()).collect(),
     };
     let settings = PrepareSettings { flatten_px: flags.flatten, invert: flags.invert };
-    let (upright_from_image, shape) = upright([header.rows, header.columns], flags.tilt_axis.to_radians());
+    let axis_rad = flags.tilt_axis.unwrap_or(0.0).to_radians();
+    let aligned = match (flags.align.as_deref(), result) {
+        (Some("auto"), _) => Some(align(&series, axis_rad, &|_, _| ()).into_diagnostic()?),
+        (Some(file), _) => Some(alignment(&series, file)?),
+        (None, Some(result)) => Some(alignment(&series, &result.alignment()?)?),
+        (None, None) => None,
+    };
+    if aligned.is_some() && flags.tilt_axis.is_some() && flags.align.as_deref() != Some("auto") {
+        wrong_usage("--tilt-axis is not for views aligned by an .xf, which says where the axis lies");
+    }
+    let axis_rad = aligned.as_ref().map_or(axis_rad, |aligned| aligned.axis_rad);
+    let (upright_from_image, shape) = upright(series.shape, axis_rad);
     let mut images = Vec::with_capacity(chosen.len());
-    for page in &chosen {
-        let image = file.read_page(*page).into_diagnostic()?;
-        let bad = image.iter().filter(|value| !value.is_finite()).count();
-        if bad > 0 {
-            return Err(miette!("{}#{page} has {bad} pixels that are NaN or infinite; replace them", flags.series));
-        }
+    for view in &chosen {
+        let image = series.view(*view).into_diagnostic()?.pixels;
         let first = image[[0, 0]];
         if image.iter().all(|value| *value == first) {
-            return Err(miette!("{}#{page} is constant: every pixel is {first}; leave it out", flags.series));
+            let spec = &series.views[*view].spec;
+            return Err(miette!("{spec} is constant: every pixel is {first}; leave it out"));
         }
-        images.push(prepare(&image, &upright_from_image, shape, &settings));
+        let map = aligned.as_ref().map_or(upright_from_image, |aligned| {
+            upright_from_projection(shape) * aligned.poses[*view].image_from_projection.inverse()
+        });
+        images.push(prepare(&image, &map, shape, &settings));
     }
-    let pixel_size_nm = flags.pixel_size.map(|size| size.nm).or(header.pixel_size_nm.map(|found| found.value));
-    Ok(Views { images, tilts_deg: chosen.iter().map(|page| tilts_deg[*page]).collect(), pixel_size_nm })
+    let pixel_size_nm = flags.pixel_size.map(|size| size.nm).or(series.pixel_size.as_ref().map(|(size, _)| *size));
+    let tilts_deg = chosen.iter().map(|view| tilts_deg[*view]).collect();
+    Ok(Views { series, images, tilts_deg, pixel_size_nm })
+}
+
+fn alignment(series: &Series, file: &str) -> Result<AlignedSeries> {
+    let read = transforms::read(file).into_diagnostic()?;
+    AlignedSeries::from_transforms(series, &read, file).into_diagnostic()
 }

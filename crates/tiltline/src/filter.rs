@@ -98,6 +98,20 @@ pub fn percentiles<const N: usize>(image: &Array2<f32>, fractions: [f64; N]) -> 
     fractions.map(|fraction| values[((values.len() - 1) as f64 * fraction.clamp(0.0, 1.0)).round() as usize])
 }
 
+/// Sums over blocks of `step` x `step` pixels, at least one block; what is left at the right and below is left out.
+pub fn block_sums(image: &Array2<f32>, step: usize) -> Array2<f32> {
+    let (height, width) = (image.nrows() / step, image.ncols() / step);
+    Array2::from_shape_fn((height.max(1), width.max(1)), |(row, column)| {
+        let mut sum = 0.0;
+        for y in row * step..((row + 1) * step).min(image.nrows()) {
+            for x in column * step..((column + 1) * step).min(image.ncols()) {
+                sum += image[[y, x]];
+            }
+        }
+        sum
+    })
+}
+
 /// Linear interpolation at (x, y); `None` outside the centres of the border pixels or next to a pixel that is not finite.
 pub fn sample_linear(image: &ArrayView2<'_, f32>, x: f64, y: f64) -> Option<f32> {
     let (height, width) = image.dim();

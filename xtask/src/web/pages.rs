@@ -15,9 +15,12 @@ use tiltline::pipeline;
 use tiltline::progress::Stage;
 use tiltline::reconstruction::{LengthUnit, Reconstruction};
 use tiltline::report::image::Picture;
+use tiltline::report::series::{ReportSeries, ReportSeriesView, ReportTomogram, ViewPicture};
 use tiltline::report::{CurveEnd, PointColumns, Report, ReportCurve, page};
 use tiltline::ridge::RidgeDetector;
+use tiltline::series::{Distances, LineIndex, SavedCurves, ViewLines};
 use tiltline::settings::Settings;
+use tiltline::tomography::compare::Comparison;
 use tiltline::warning::Warning;
 
 use crate::venv::root;
@@ -41,6 +44,7 @@ pub fn write(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).into_diagnostic()?;
     let extra = [("report.html", text.into_bytes())];
     export::write_all(&result, &extra, &folder.join("example"), true).into_diagnostic()?;
+    put(folder, "series", &Report { series: Some(series(&result)?), ..report.clone() })?;
     put(folder, "many", &many(&report))?;
     put(folder, "hostile", &hostile(report.clone()))?;
     put(folder, "empty", &empty(report))
@@ -69,6 +73,48 @@ fn example() -> Result<Reconstruction> {
     let detector = RidgeDetector { settings: settings.ridge.clone() };
     let matcher = ClassicalMatcher { settings: settings.matching.clone() };
     pipeline::reconstruct(pair, &detector, &matcher, &settings, &|_| ()).into_diagnostic()
+}
+
+/// The pair as if it were of a series: its own two views, figures of five, and a tomogram that has its lines at z = 0.
+fn series(result: &Reconstruction) -> Result<ReportSeries> {
+    let curves = SavedCurves::of(result);
+    let views = [-12.0, -4.0, 0.0, 4.0, 12.0].map(|tilt_deg: f64| ReportSeriesView {
+        tilt_deg,
+        in_pair: tilt_deg.abs() == 4.0,
+        supported: true,
+        distances: Distances::of((0..40).map(|k| 0.01 * f64::from(k) * tilt_deg.abs()).collect(), 0.08),
+        tilt_error_deg: None,
+    });
+    let pictures = [&result.pair.left, &result.pair.right].into_iter().zip(&curves.poses).enumerate();
+    let pictures = pictures.map(|(side, (view, pose))| {
+        let lines = ViewLines { traces: result.traces[side].clone(), shape: [view.height(), view.width()] };
+        ViewPicture::new(view, [-4.0, 4.0][side], pose, &LineIndex::new(lines), &curves)
+    });
+    let [rows, columns] = result.rectified.rectification.shape;
+    let (pixel, [cx, cy]) = (result.frame.pixel, result.frame.centre_px);
+    let edge = Array2::from_shape_fn((60, columns), |(layer, _)| if layer == 30 { 1.0 } else { 0.1 });
+    Ok(ReportSeries {
+        path: "series.mrc".into(),
+        fitted: false,
+        views: views.to_vec(),
+        checks: vec!["the pair's order agrees with the tilts of the series".into()],
+        pictures: pictures.collect::<Result<_, _>>().into_diagnostic()?,
+        tomogram: Some(ReportTomogram {
+            method: "SIRT, 30 iterations, 5 views from -12 to 12 degrees".into(),
+            comparison: Comparison {
+                threshold: 0.1,
+                share: 0.001,
+                result: [1000.0, 0.7],
+                tomogram: [1500.0, 0.5],
+                reach_px: [2.0, 14.0],
+                depth_px: Some([1.0, 5.0]),
+            },
+            size: [columns, rows, 60],
+            above: Picture::encode(&result.lines[0].probability).into_diagnostic()?,
+            edge: Picture::encode(&edge).into_diagnostic()?,
+            voxels: [[1.0 / pixel, 0.0, 0.0, cx], [0.0, 1.0 / pixel, 0.0, cy], [0.0, 0.0, 1.0 / pixel, 29.5]],
+        }),
+    })
 }
 
 /// Many short curves in a foil of known thickness.

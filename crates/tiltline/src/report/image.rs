@@ -6,6 +6,7 @@ use jpeg_encoder::{ColorType, Encoder};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
+use crate::filter::block_sums;
 use crate::report::ReportError;
 
 /// Quality of the JPEG pictures, 1 to 100.
@@ -33,6 +34,15 @@ impl Picture {
         let mut jpeg = Vec::new();
         Encoder::new(&mut jpeg, JPEG_QUALITY).encode(&pixels, width, height, ColorType::Luma)?;
         Ok(Self(STANDARD.encode(jpeg)))
+    }
+
+    /// Encodes an image averaged over blocks of `step` x `step` pixels.
+    ///
+    /// # Errors
+    /// As for [`Picture::encode`].
+    pub fn reduced(image: &Array2<f32>, step: usize) -> Result<Self, ReportError> {
+        let area = (step * step) as f32;
+        Self::encode(&block_sums(image, step).mapv_into(|sum| sum / area))
     }
 
     /// Its address, for an `href` or `src`.

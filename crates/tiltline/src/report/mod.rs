@@ -7,6 +7,7 @@
 pub mod figures;
 pub mod image;
 pub mod page;
+pub mod series;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,8 @@ use crate::micrograph::{Source, View};
 use crate::reconstruction::{Frame, Reconstruction};
 use crate::rectify::Rectification;
 use crate::report::image::Picture;
+use crate::report::series::ReportSeries;
+use crate::series::SeriesError;
 use crate::warning::Warning;
 
 /// Version of the layout of the embedded JSON; grows when a name changes or goes.
@@ -57,6 +60,9 @@ pub enum ReportError {
     /// The embedded JSON could not be written or understood.
     #[error("the data of the report cannot be read or written: {0}; reconstruct the pair again")]
     Json(#[from] serde_json::Error),
+    /// A view of the series cannot be read again.
+    #[error(transparent)]
+    View(Box<SeriesError>),
     /// There is no report in a text.
     #[error(
         "this is not a report: it has no <script id=\"{}\">; name a folder or report.html that `tiltline reconstruct` wrote",
@@ -103,6 +109,9 @@ pub struct Report {
     pub warnings: Vec<Warning>,
     /// The run record (`run.toml`), as text.
     pub run: String,
+    /// The other views of the series that the pair is of, where they were looked at.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub series: Option<ReportSeries>,
 }
 
 /// One rectified image and what was found in it.
@@ -188,6 +197,7 @@ impl Report {
             measures: kept(&result.measures, MEASURE_DIGITS)?,
             warnings: result.warnings.clone(),
             run: run.to_owned(),
+            series: None,
         })
     }
 

@@ -4,12 +4,15 @@ use ndarray::Array2;
 
 use super::figures;
 use super::page::{self, escaped};
+use super::series::{ReportSeriesView, ViewPicture};
 use super::*;
+use crate::curve::TraceGraph;
 use crate::geometry::{Similarity2, TiltPair, Vector2, Vector3};
 use crate::matching::ClassicalMatcher;
 use crate::micrograph::{Micrograph, StereoPair};
 use crate::pipeline::reconstruct;
 use crate::ridge::RidgeDetector;
+use crate::series::{LineIndex, SavedCurves, ViewLines};
 use crate::settings::Settings;
 use crate::simulate::{Scene, SceneSettings, ViewSettings, render};
 
@@ -170,4 +173,53 @@ fn corners_are_those_of_the_input_on_the_rectified_grid() {
     result.rectified.rectification.rectified_from_left = Similarity2::new(Vector2::new(10.0, 20.0), 0.0, 1.0);
     let report = Report::new(&result, "").unwrap();
     assert_eq!(report.views[0].corners, [[9.5, 19.5], [297.5, 19.5], [297.5, 275.5], [9.5, 275.5]]);
+}
+
+/// The curves of a report drawn into the pair's own views lie where they were found there, whichever sign depth was given.
+#[test]
+fn projections_into_the_views_of_the_pair_are_where_the_curves_were_found() {
+    let mut flipped = IN_NM.clone();
+    let settings = Settings { flip_depth: true, ..Settings::default() };
+    let detector = RidgeDetector { settings: settings.ridge.clone() };
+    let matcher = ClassicalMatcher { settings: settings.matching.clone() };
+    flipped = reconstruct(flipped.pair, &detector, &matcher, &settings, &|_| ()).unwrap();
+    assert!(flipped.frame.depth_flipped);
+    for result in [&*IN_NM, &*IN_PX, &flipped] {
+        let report = Report::new(result, "").unwrap();
+        let curves = SavedCurves::of(result);
+        let maps = [&report.rectification.rectified_from_left, &report.rectification.rectified_from_right];
+        for (side, view) in [&result.pair.left, &result.pair.right].into_iter().enumerate() {
+            let lines = LineIndex::new(ViewLines { traces: TraceGraph::default(), shape: [256, 288] });
+            let picture = ViewPicture::new(view, 0.0, &curves.poses[side], &lines, &curves).unwrap();
+            assert_eq!((picture.size_px, picture.step_px), ([288, 256], 1));
+            for curve in &report.curves {
+                for index in 0..curve.x.len() {
+                    let [x, y, z] = report.position(curve, index);
+                    let found = picture.projection.map(|[a, b, c, d]| a * x + b * y + c * z + d);
+                    let rectified = Point2::new(curve.x[index] + side as f64 * curve.disparity[index], curve.y[index]);
+                    let expected = maps[side].inverse() * rectified;
+                    let off = (Point2::new(found[0], found[1]) - expected).norm();
+                    // Positions are kept to 0.001 px.
+                    assert!(off < 0.01, "{off} px in view {side}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_series_is_kept_in_the_page_and_at_most_eight_views_are_pictured() {
+    let views = vec![ReportSeriesView {
+        tilt_deg: -12.0,
+        in_pair: false,
+        supported: true,
+        distances: crate::series::Distances::of(vec![0.5, 1.0, 3.0], 0.1),
+        tilt_error_deg: Some([0.01, 0.05]),
+    }];
+    let (path, checks) = ("series </script>.mrc".to_owned(), vec!["fine".to_owned()]);
+    let series = ReportSeries { path, fitted: true, views, checks, pictures: Vec::new(), tomogram: None };
+    let report = Report { series: Some(series), ..Report::new(&IN_PX, "").unwrap() };
+    assert_eq!(page::read(&page::write(&report).unwrap()).unwrap(), report);
+    assert_eq!(ReportSeries::pictured(&(10..55).collect::<Vec<_>>()), [10, 16, 22, 28, 35, 41, 47, 54]);
+    assert_eq!(ReportSeries::pictured(&[3, 5]), [3, 5]);
 }

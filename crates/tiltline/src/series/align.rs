@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::phase::PhaseCorrelator;
 use super::{Series, SeriesError, ViewPose};
-use crate::filter::{gaussian_blur, sample_linear};
+use crate::filter::{block_sums, gaussian_blur, sample_linear};
 use crate::geometry::{Point2, Vector2};
 use crate::io::xf::SectionTransform;
 use crate::progress::Stage;
@@ -145,16 +145,7 @@ fn centre([height, width]: [usize; 2]) -> Point2 {
 }
 
 fn reduced(image: &Array2<f32>, step: usize) -> Small {
-    let (height, width) = (image.nrows() / step, image.ncols() / step);
-    let cells = Array2::from_shape_fn((height.max(1), width.max(1)), |(row, column)| {
-        let mut sum = 0.0;
-        for y in row * step..((row + 1) * step).min(image.nrows()) {
-            for x in column * step..((column + 1) * step).min(image.ncols()) {
-                sum += image[[y, x]];
-            }
-        }
-        sum
-    });
+    let cells = block_sums(image, step);
     let first = image[[0, 0]];
     let usable = image.iter().any(|value| *value != first);
     let low = crate::filter::percentiles(&cells, [0.002, 0.998]);

@@ -30,7 +30,7 @@ pub use fit::{FitSettings, FitView, FittedCurve, Grown, SeriesFit, StartCurve, g
 pub use lines::{LineIndex, ViewLines, detect_lines};
 pub use pose::ViewPose;
 pub use read::{Series, SeriesView};
-pub use register::{Registration, register};
+pub use register::{Registration, chance_near_lines, register};
 pub use reproject::{Distances, Reprojection, ViewReprojection, reproject};
 pub use saved::{SavedCurve, SavedCurves};
 

@@ -59,6 +59,11 @@ impl Registration {
     }
 }
 
+/// Share of a view within 3 px of a line: how much of any curve would lie there by chance.
+pub fn chance_near_lines(lines: &LineIndex) -> f64 {
+    DistanceMap::new(lines).share_near()
+}
+
 /// Finds the pose of a view near `start`; `search_px` is how far shifts are looked for. `None` where no point lies in the image
 /// or it has no lines.
 pub fn register(

@@ -6,8 +6,8 @@
 //! view, which no microscope avoids, are not counted.
 
 use super::{
-    AlignedSeries, Checks, LineIndex, Registration, SavedCurve, SavedCurves, Series, SeriesError, ViewLines, ViewPose,
-    checks, register,
+    AlignedSeries, Checks, LineIndex, Registration, SavedCurves, Series, SeriesError, ViewLines, ViewPose, checks,
+    register,
 };
 use crate::geometry::Point2;
 use crate::progress::Stage;
@@ -20,7 +20,7 @@ const SEARCH_LEAST_PX: f64 = 16.0;
 const WIDE: f64 = 2.5;
 
 /// Distances of re-projected points to the nearest detected line, px of the view's file.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Distances {
     /// Points of the curves that lie in the image.
     pub points: usize,
@@ -37,6 +37,14 @@ pub struct Distances {
 }
 
 impl Distances {
+    /// Of curves projected into a view to its lines, over the points that lie in the image.
+    pub fn to_lines(projected: &[Vec<Point2>], lines: &LineIndex, chance_within_3px: f64) -> Option<Self> {
+        let [height, width] = lines.lines().shape.map(|side| side as f64 - 0.5);
+        let inside = |point: &&Point2| point.x >= -0.5 && point.y >= -0.5 && point.x <= width && point.y <= height;
+        let distances = projected.iter().flatten().filter(inside).filter_map(|point| lines.distance(point)).collect();
+        Self::of(distances, chance_within_3px)
+    }
+
     /// Statistics of distances; `None` without any.
     pub fn of(mut distances: Vec<f64>, chance_within_3px: f64) -> Option<Self> {
         distances.sort_by(f64::total_cmp);
@@ -212,13 +220,7 @@ fn in_view(
     supported: bool,
     lines: &LineIndex,
 ) -> ViewReprojection {
-    let project = |curve: &SavedCurve| curve.points.iter().map(|point| pose.project(point)).collect();
-    let projected: Vec<Vec<Point2>> = curves.curves.iter().map(project).collect();
-    let [height, width] = series.shape;
-    let inside = |point: &&Point2| {
-        point.x >= -0.5 && point.y >= -0.5 && point.x <= width as f64 - 0.5 && point.y <= height as f64 - 0.5
-    };
-    let distances = projected.iter().flatten().filter(inside).filter_map(|point| lines.distance(point)).collect();
+    let projected = curves.projected(&pose);
     ViewReprojection {
         view,
         tilt_deg: series.views[view].tilt_deg,
@@ -226,8 +228,8 @@ fn in_view(
         pose,
         supported,
         moved_px: registration.map_or(0.0, |registration| registration.moved_px.norm()),
+        distances: Distances::to_lines(&projected, lines, registration.map_or(0.0, |found| found.chance)),
         curves: projected,
-        distances: Distances::of(distances, registration.map_or(0.0, |registration| registration.chance)),
         lines: lines.lines().clone(),
     }
 }

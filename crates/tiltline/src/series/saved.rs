@@ -6,9 +6,9 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::{SeriesError, ViewPose};
-use crate::curve::Flag;
+use crate::curve::{Curve3, Flag};
 use crate::geometry::{Point2, Point3, TiltPair, Vector2};
-use crate::reconstruction::{Frame, LengthUnit};
+use crate::reconstruction::{Frame, LengthUnit, Reconstruction};
 use crate::rectify::Rectification;
 
 /// No result is larger, bytes.
@@ -39,6 +39,8 @@ pub struct SavedCurves {
     pub poses: [ViewPose; 2],
     /// Unit of the result's lengths, and how many of it a rectified px has.
     pub unit: (LengthUnit, f64),
+    /// Whether the result's depths have the other sign, as was asked for.
+    pub depth_flipped: bool,
 }
 
 #[derive(Deserialize)]
@@ -107,7 +109,13 @@ impl File {
             Ok(SavedCurve { points: (0..x.len()).map(point).collect(), sigma_z, flags, closed: curve.closed })
         };
         let curves = self.curves.iter().enumerate().map(curve).collect::<Result<_, _>>()?;
-        Ok(SavedCurves { curves, tilts, poses: poses(&self.rectification, tilts, &self.frame), unit: (unit, pixel) })
+        Ok(SavedCurves {
+            curves,
+            tilts,
+            poses: poses(&self.rectification, tilts, &self.frame),
+            unit: (unit, pixel),
+            depth_flipped,
+        })
     }
 }
 
@@ -132,6 +140,34 @@ pub(super) fn poses(rectification: &Rectification, tilts: TiltPair, frame: &Fram
 }
 
 impl SavedCurves {
+    /// The curves of a result in memory.
+    pub fn of(result: &Reconstruction) -> Self {
+        let Frame { pixel, unit, depth_flipped, .. } = result.frame;
+        let sign = if depth_flipped { -1.0 } else { 1.0 };
+        let curve = |curve: &Curve3| SavedCurve {
+            points: curve
+                .points
+                .iter()
+                .map(|point| Point3::new(point.position.x, point.position.y, sign * point.position.z) / pixel)
+                .collect(),
+            sigma_z: curve.points.iter().map(|point| point.sigma_z / pixel).collect(),
+            flags: curve.points.iter().map(|point| point.flag).collect(),
+            closed: curve.closed,
+        };
+        Self {
+            curves: result.curves.iter().map(curve).collect(),
+            tilts: result.pair.tilts,
+            poses: poses(&result.rectified.rectification, result.pair.tilts, &result.frame),
+            unit: (unit, pixel),
+            depth_flipped,
+        }
+    }
+
+    /// Each curve in a view with this pose, px of the view.
+    pub fn projected(&self, pose: &ViewPose) -> Vec<Vec<Point2>> {
+        self.curves.iter().map(|curve| curve.points.iter().map(|point| pose.project(point)).collect()).collect()
+    }
+
     /// Share of the spread of depths that is not their own error: `1 - mean(sigma^2) / variance`, between 0.2 and 1.
     pub fn reliability(&self) -> f64 {
         let points = self.curves.iter().flat_map(|curve| curve.points.iter().zip(&curve.sigma_z));

@@ -7,6 +7,7 @@
 use ndarray::{Array2, Array3};
 use serde::Serialize;
 
+use super::compare::thresholds;
 use super::curves::{CurveSettings, VolumeCurve, curves};
 use super::prepare::{PrepareSettings, prepare, upright_from_projection};
 use super::{Geometry, Method, TomographyError, evenly_spaced, volume};
@@ -17,11 +18,6 @@ use crate::truth::{Truth, TruthError, TruthPair};
 
 /// Layers of the volume above and below the deepest lines, px.
 const MARGIN_PX: f64 = 8.0;
-/// Shares of the voxels above the threshold that are tried, each twice the one before, beginning with this.
-const FIRST_SHARE: f64 = 0.0001;
-const SHARES: u32 = 9;
-/// Values that a threshold is chosen among are every so many-th voxel.
-const STRIDE: usize = 7;
 /// What a tomogram's curves state as the sigma of their disparity, px: they know none, and are not judged by it.
 const SIGMA_PX: f64 = 1.0;
 
@@ -136,14 +132,8 @@ impl<'a> KnownSeries<'a> {
     pub fn judge(&self, count: usize, method: &Method, pair: [usize; 2]) -> Result<Judged, JudgeError> {
         let stereo = self.truth.pair(pair[0], pair[1])?;
         let (volume, geometry, chosen) = self.tomogram(count, method)?;
-        let mut sample: Vec<f32> = volume.iter().copied().step_by(STRIDE).collect();
-        sample.sort_unstable_by(|a, b| b.total_cmp(a));
         let mut best: Option<Judged> = None;
-        let mut consider = |share: f64| -> Result<(), JudgeError> {
-            let threshold = sample[((sample.len() as f64 * share) as usize).min(sample.len() - 1)];
-            if threshold <= 0.0 {
-                return Ok(());
-            }
+        for (share, threshold) in thresholds(&volume) {
             let found = curves(&volume, &geometry, threshold, &CurveSettings::default());
             let found: Vec<VolumeCurve> = found.into_iter().map(|curve| self.in_truth_frame(curve)).collect();
             let name = format!("{count} views");
@@ -152,14 +142,10 @@ impl<'a> KnownSeries<'a> {
                 let tilts_deg = chosen.iter().map(|view| self.tilts_rad[*view].to_degrees()).collect();
                 best = Some(Judged { tilts_deg, threshold, share, score, curves: found });
             }
-            Ok(())
-        };
-        for step in 0..SHARES {
-            consider(FIRST_SHARE * 2.0_f64.powi(step as i32))?;
         }
         best.ok_or(JudgeError::Tomography(TomographyError::Value {
             name: "the largest value of the tomogram",
-            value: f64::from(sample[0]),
+            value: volume.iter().copied().fold(f32::NEG_INFINITY, f32::max).into(),
             expected: "there is nothing bright in it: are the lines dark and the views not inverted?",
         }))
     }

@@ -11,6 +11,7 @@
 
 pub mod against_truth;
 mod angles;
+pub mod compare;
 pub mod curves;
 mod error;
 pub mod prepare;

@@ -14,7 +14,7 @@ use crate::progress::Stage;
 use crate::reconstruction::Reconstruction;
 use crate::rectify::RectifiedPair;
 use crate::rectify::resample::{common_grid, resample};
-use crate::series::{AlignedSeries, Series, SeriesError, ViewLines, saved};
+use crate::series::{AlignedSeries, SavedCurve, SavedCurves, Series, SeriesError, ViewLines, saved};
 use crate::settings::Settings;
 use crate::trace::trace;
 use crate::triangulate::triangulate;
@@ -36,7 +36,7 @@ const JUNCTION_PX: f64 = 8.0;
 pub struct SeriesFit {
     /// The result, in the frame of the pair.
     pub reconstruction: Reconstruction,
-    /// Poses and lines of the views.
+    /// Poses and lines of the views, in the frame of the result's curves.
     pub grown: Grown,
     /// The alignment of the series, refined on the curves.
     pub refined: AlignedSeries,
@@ -59,8 +59,13 @@ pub fn reconstruct_series(
     fit: &FitSettings,
     lines_of: &mut dyn FnMut(usize) -> Result<ViewLines, SeriesError>,
 ) -> Result<SeriesFit, SeriesError> {
-    let poses = saved::poses(&result.rectified.rectification, result.pair.tilts, &result.frame);
-    let start = start_curves(&result);
+    let saved = SavedCurves::of(&result);
+    let poses = saved.poses;
+    let start: Vec<StartCurve> = saved
+        .curves
+        .into_iter()
+        .map(|SavedCurve { points, sigma_z, closed, .. }| StartCurve { points, sigma_z, closed })
+        .collect();
     let starts = [(pair[0], poses[0]), (pair[1], poses[1])];
     let mut grown = grow(&start, starts, series, aligned, fit, lines_of)?;
     // Lines that this pair does not show, from pairs about other tilts.
@@ -73,29 +78,15 @@ pub fn reconstruct_series(
     if known.len() > first {
         grown = extended(grown, &known[first..], fit);
     }
-    let refined = refined(&grown, series, aligned, &result);
     let reconstruction = in_pair_form(result, &grown, series, detector, settings);
+    let Reconstruction { rectified, pair, frame, .. } = &reconstruction;
+    grown.move_to(saved::poses(&rectified.rectification, pair.tilts, frame));
+    let refined = refined(&grown, series, aligned, pair.tilts.mid_rad());
     Ok(SeriesFit { reconstruction, grown, refined })
 }
 
-/// The curves of a result in px, depth as the tilts have it.
-fn start_curves(result: &Reconstruction) -> Vec<StartCurve> {
-    let (pixel, sign) = (result.frame.pixel, if result.frame.depth_flipped { -1.0 } else { 1.0 });
-    let curve = |curve: &crate::curve::Curve3| StartCurve {
-        points: curve
-            .points
-            .iter()
-            .map(|point| Point3::new(point.position.x, point.position.y, sign * point.position.z) / pixel)
-            .collect(),
-        sigma_z: curve.points.iter().map(|point| point.sigma_z / pixel).collect(),
-        closed: curve.closed,
-    };
-    result.curves.iter().map(curve).collect()
-}
-
 /// The alignment with the fitted poses; views that took no part move with their nearest one.
-fn refined(grown: &Grown, series: &Series, aligned: &AlignedSeries, result: &Reconstruction) -> AlignedSeries {
-    let mid = result.pair.tilts.mid_rad();
+fn refined(grown: &Grown, series: &Series, aligned: &AlignedSeries, mid: f64) -> AlignedSeries {
     let pose = |view: usize| {
         let nominal = series.views[view].tilt_deg.to_radians();
         let off = |other: &super::FitView| (other.nominal_rad + mid - nominal).abs();

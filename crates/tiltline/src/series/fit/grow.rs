@@ -1,6 +1,7 @@
 //! The fit from a pair outwards: views are taken in by their distance in tilt, each registered on the curves as they are by then.
 
 use super::{FitSettings, FitView, FittedCurve, Problem, StartCurve};
+use crate::geometry::Point3;
 use crate::series::{AlignedSeries, LineIndex, Series, SeriesError, ViewLines, ViewPose, register};
 
 /// Views are taken in up to so many times the tilt that is in already, counted from the pair's middle.
@@ -26,6 +27,35 @@ pub struct Grown {
     pub tilt_sigma_rad: Vec<f64>,
     /// Views whose lines do not fit the curves, by their places in the series.
     pub left_out: Vec<usize>,
+}
+
+impl Grown {
+    /// Puts poses and curves into the frame in which the two views of the pair, the first ones, have the poses `pair`.
+    pub(super) fn move_to(&mut self, pair: [ViewPose; 2]) {
+        let [left, right] = [0, 1].map(|view| self.views[view].pose);
+        let turn = 0.5 * (left.tilt_rad + right.tilt_rad) - 0.5 * (pair[0].tilt_rad + pair[1].tilt_rad);
+        // The new origin in the old frame: where both views show it, x = X cos a + Z sin a and y = Y.
+        let seen =
+            [(left, pair[0]), (right, pair[1])].map(|(old, new)| old.image_from_projection.inverse() * new.origin());
+        let (sines, cosines) =
+            ([left, right].map(|pose| pose.tilt_rad.sin()), [left, right].map(|pose| pose.tilt_rad.cos()));
+        let determinant = cosines[0] * sines[1] - sines[0] * cosines[1];
+        let origin = Point3::new(
+            (seen[0].x * sines[1] - seen[1].x * sines[0]) / determinant,
+            0.5 * (seen[0].y + seen[1].y),
+            (seen[1].x * cosines[0] - seen[0].x * cosines[1]) / determinant,
+        );
+        for view in &mut self.views {
+            let FitView { pose, nominal_rad, .. } = view;
+            *pose = ViewPose::new(pose.tilt_rad - turn, pose.axis_rad(), pose.scale(), pose.project(&origin));
+            *nominal_rad -= turn;
+        }
+        let (sin, cos) = turn.sin_cos();
+        for point in self.curves.iter_mut().flat_map(|curve| &mut curve.points) {
+            let from = *point - origin;
+            *point = Point3::new(from.x * cos + from.z * sin, from.y, from.z * cos - from.x * sin);
+        }
+    }
 }
 
 /// Fits curves to all views of a series. `pair` are the two views that the curves come from, with their poses in the curves'

@@ -189,3 +189,45 @@ fn a_line_that_moves_to_larger_x_as_the_tilt_grows_lies_behind() {
     let depth = problem.fitted(3.0).iter().map(|curve| curve.points[100].z).collect::<Vec<_>>();
     assert!((depth[2] - depth[1] - 40.0).abs() < 4.0 && (depth[1] - depth[0] - 40.0).abs() < 4.0, "{depth:?}");
 }
+
+/// Changing the frame changes no image: every view shows the moved points where it showed them before, and the pair has the poses
+/// that were asked for.
+#[test]
+fn moved_to_another_frame_every_view_shows_the_same() {
+    let lines = || LineIndex::new(ViewLines { traces: TraceGraph::default(), shape: SHAPE });
+    let view = |(index, (tilt, axis, x)): (usize, (f64, f64, f64))| {
+        FitView::new(index, ViewPose::new(tilt, axis, 1.0 + 0.01 * axis, Point2::new(x, 200.0 - x)), lines())
+    };
+    let poses = [(-0.07, 0.1, 250.0), (0.09, 0.12, 260.0), (0.5, 0.08, 240.0)];
+    let views = poses.into_iter().enumerate().map(view).collect();
+    let points = [Point3::new(3.0, 5.0, 40.0), Point3::new(-60.0, 9.0, -20.0), Point3::new(0.0, -70.0, 8.0)];
+    let curve =
+        FittedCurve { points: points.to_vec(), sigma_z: vec![1.0; 3], seen: vec![3; 3], closed: false, support: 1.0 };
+    let shown = |grown: &Grown| -> Vec<Point2> {
+        grown
+            .views
+            .iter()
+            .flat_map(|view| grown.curves[0].points.iter().map(|point| view.pose.project(point)))
+            .collect()
+    };
+    let mut grown =
+        Grown { curves: vec![curve], noise: vec![1.0; 3], tilt_sigma_rad: vec![0.0; 3], left_out: Vec::new(), views };
+    let before = shown(&grown);
+    // The same pair about a point of the foil, turned so that its middle has no tilt.
+    let origin = Point3::new(11.0, -4.0, 25.0);
+    let pair = [0, 1].map(|index| {
+        let pose = grown.views[index].pose;
+        ViewPose::new(pose.tilt_rad - 0.01, pose.axis_rad(), pose.scale(), pose.project(&origin))
+    });
+    grown.move_to(pair);
+    for (was, is) in before.iter().zip(shown(&grown)) {
+        assert!((was - is).norm() < 1e-9, "{was} {is}");
+    }
+    for (view, pose) in grown.views.iter().zip(&pair) {
+        assert!(
+            (view.pose.origin() - pose.origin()).norm() < 1e-9 && (view.pose.tilt_rad - pose.tilt_rad).abs() < 1e-12
+        );
+        // What the fit found as the error of a tilt is no matter of the frame.
+        assert!((view.pose.tilt_rad - view.nominal_rad).abs() < 1e-12);
+    }
+}
