@@ -92,6 +92,7 @@ export interface Series {
   fitted: boolean;
   views: SeriesView[];
   checks: string[];
+  warnings?: { stage: string; message: string }[];
   pictures: ViewPicture[];
   tomogram?: Tomogram;
 }
@@ -104,7 +105,7 @@ export interface SeriesView {
   tilt_error_deg?: [number, number];
 }
 
-type Row = [number, number, number, number];
+export type Row = [number, number, number, number];
 
 export interface ViewPicture {
   tilt_deg: number;
@@ -128,6 +129,7 @@ export interface Tomogram {
   size: [number, number, number];
   above: string;
   edge: string;
+  step: [number, number];
   voxels: [Row, Row, Row];
 }
 
@@ -266,5 +268,5 @@ export function quantile(values: ArrayLike<number>, fraction: number): number {
 }
 
 export function fileName(path: string): string {
-  return path.split(/[/\\]/).pop() || "image in memory";
+  return path.replace(/[/\\]+$/, "").split(/[/\\]/).pop() || "image in memory";
 }

@@ -2,8 +2,7 @@
 
 import { spots } from "./charts";
 import { css } from "./colour";
-import type { Series, SeriesView, Tomogram, ViewPicture } from "./data";
-import { fileName, quantile } from "./data";
+import { type Row, type Series, type SeriesView, type Tomogram, type ViewPicture, fileName, quantile } from "./data";
 import { h, s, tick } from "./dom";
 import { degrees, digits, fixed } from "./format";
 import type { Store } from "./store";
@@ -14,20 +13,21 @@ const percent = (share: number) => `${fixed(100 * share, 0)} %`;
 export function series(store: Store): HTMLElement | null {
   const found = store.model.report.series;
   if (!found) return null;
+  const said = [...found.checks, ...(found.warnings ?? []).map(({ message }) => message)];
   const parts: (Node | null)[] = [
     found.views.length > 0 ? h("p", { class: "hint" }, lead(found)) : null,
-    found.checks.length > 0 ? h("ul", { class: "checks" }, ...found.checks.map((text) => h("li", {}, text.charAt(0).toUpperCase() + text.slice(1) + "."))) : null,
+    said.length > 0 ? h("ul", { class: "checks" }, ...said.map((text) => h("li", {}, `${text.charAt(0).toUpperCase()}${text.slice(1)}.`))) : null,
     found.views.length > 0 ? charts(found) : null,
     found.pictures.length > 0 ? pictures(store, found.pictures) : null,
     found.tomogram ? tomogram(store, found.tomogram) : null,
   ];
-  return h("div", { class: "series" }, ...parts);
+  return h("div", { class: "series" }, ...parts.filter((part) => part !== null));
 }
 
 function lead({ path, fitted, views }: Series): string {
   const others = views.filter((view) => !view.in_pair && view.distances);
   const medians = others.map((view) => view.distances!.median_px);
-  const median = medians.length > 0 ? ` The median distance to a detected line is ${digits(quantile(medians, 0.5), 2)} px in the middle one of the ${others.length} views beside the pair.` : "";
+  const median = medians.length > 0 ? ` In a typical view beside the pair the median distance to a detected line is ${digits(quantile(medians, 0.5), 2)} px (median of ${others.length} views).` : "";
   const what = fitted
     ? `The curves were fitted to these ${views.length} views of ${fileName(path)} together, so the distances are residuals and not a test.`
     : `The curves are drawn into ${views.length} views of ${fileName(path)} with each view's own shift, turn and magnification; views beside the pair took no part in making them.`;
@@ -58,7 +58,7 @@ function charts({ fitted, views }: Series): HTMLElement {
         "distance to a line (px)",
         [{ value: 2, text: "2 px" }],
       ),
-      "Dots: median over the points of the curves; lines up to the distance that 95 % are within, cut off at the top. Hollow: the pair.",
+      `Dots: median over the points of the curves; lines up to the distance that 95 % are within. What lies above ${digits(top)} px is drawn at the top. Hollow: the pair.`,
     );
     add(
       "Share near a line against tilt",
@@ -75,7 +75,7 @@ function charts({ fitted, views }: Series): HTMLElement {
         [0, 100],
         "tilt (\u00b0)",
         "share of the points (%)",
-        [{ value: 100 * quantile(rows.map(({ distances }) => distances.chance_within_3px), 0.5), text: "within 3 px by chance" }],
+        [{ value: 100 * quantile(rows.map(({ distances }) => distances.chance_within_3px), 0.5), text: "by chance within 3 px" }],
       ),
       "Dots: within 2 px; lines up to the share within 5 px. Lines that the detector misses in a view count as far away.",
     );
@@ -99,7 +99,7 @@ function charts({ fitted, views }: Series): HTMLElement {
         "tilt (\u00b0)",
         "fitted less nominal (\u00b0)",
       ),
-      "With one sigma. Their mean is held at zero: a common error of all tilts turns the foil and changes no image.",
+      "With one sigma, mostly that of the goniometer (0.1\u00b0), to which the fit holds them. Their mean is held at zero: a common error of all tilts turns the foil and changes no image.",
     );
   }
   return h("div", {}, h("div", { class: "charts" }, ...cards), viewTable(views));
@@ -124,26 +124,33 @@ function viewTable(views: SeriesView[]): HTMLElement {
   );
 }
 
-type Rows = [number, number, number, number][];
-
-/** Curves as polylines in a picture: each piece in the colour of its first point. */
-function curvesIn(store: Store, rows: [Rows[0], Rows[1]], width: number): SVGElement {
-  const { model, scale } = store;
+/** Curves as polylines in a picture, and what colours them again. */
+function curvesIn(store: Store, rows: [Row, Row], width: number): { group: SVGElement; colour: () => void } {
+  const { model } = store;
   const at = (point: number) => rows.map(([a, b, c, d]) => a * model.position[3 * point] + b * model.position[3 * point + 1] + c * model.position[3 * point + 2] + d);
   const group = s("g", { fill: "none", "stroke-width": width, "stroke-linecap": "round", "stroke-linejoin": "round" });
+  const pieces: { piece: SVGElement; curve: number; point: number }[] = [];
   for (let curve = 0; curve < model.curveCount; curve += 1) {
     const [first, end] = [model.offset[curve], model.offset[curve + 1]];
-    const length = end - first;
-    const chosen = store.selected === curve;
-    // Eight points a piece: depth changes little over them.
-    for (let from = 0; from < length - 1; from += 8) {
+    const steps = end - first - 1 + Number(model.report.curves[curve].closed);
+    // Eight steps a piece: depth changes little over them.
+    for (let from = 0; from < steps; from += 8) {
       const points: string[] = [];
-      for (let k = from; k <= Math.min(from + 8, length - 1); k += 1) points.push(at(first + k).map((value) => value.toFixed(1)).join(","));
-      const colour = scale.colour(scale.value(first + from, curve));
-      group.append(s("polyline", { points: points.join(" "), stroke: css(colour), "stroke-width": chosen ? 2.5 * width : width }));
+      for (let k = from; k <= Math.min(from + 8, steps); k += 1) points.push(at(first + (k % (end - first))).map((value) => value.toFixed(1)).join(","));
+      const piece = s("polyline", { points: points.join(" ") });
+      pieces.push({ piece, curve, point: first + from });
+      group.append(piece);
     }
   }
-  return group;
+  const colour = () => {
+    for (const { piece, curve, point } of pieces) {
+      piece.setAttribute("stroke", css(store.scale.colour(store.scale.value(point, curve))));
+      if (store.selected === curve) piece.setAttribute("stroke-width", String(2.5 * width));
+      else piece.removeAttribute("stroke-width");
+    }
+  };
+  colour();
+  return { group, colour };
 }
 
 /** A picture in px of what it shows, with things drawn over it. */
@@ -160,38 +167,34 @@ function picture(label: string, image: string, size: [number, number], drawn: [n
 const covered = (size: [number, number], step: number): [number, number] => [Math.max(1, Math.floor(size[0] / step)) * step, Math.max(1, Math.floor(size[1] / step)) * step];
 
 function pictures(store: Store, found: ViewPicture[]): HTMLElement {
-  const strip = h("div", { class: "strip" });
-  let [showsCurves, showsLines] = [true, false];
-  const draw = () => {
-    const one = (view: ViewPicture) => {
-      const { size_px: size, image, step_px: step, projection, lines } = view;
-      const width = Math.max(...size) / 300;
-      const over: SVGElement[] = [];
-      if (showsLines) {
-        // SVG takes numbers of points with commas throughout.
-        over.push(s("g", { class: "found", fill: "none", "stroke-width": width }, ...lines.map((line) => s("polyline", { points: line.join(",") }))));
-      }
-      if (showsCurves) over.push(curvesIn(store, projection, width));
-      return h("figure", {}, picture(`View at ${degrees(view.tilt_deg)} with the curves`, image, size, covered(size, step), over), h("figcaption", {}, degrees(view.tilt_deg)));
-    };
-    strip.replaceChildren(...found.map(one));
-  };
-  draw();
-  store.on(["selection", "colour"], draw);
-  const redraw = (change: () => void) => {
-    change();
-    draw();
-  };
+  const drawn = found.map((view) => {
+    const { size_px: size, image, step_px: step, projection, lines } = view;
+    const width = Math.max(...size) / 220;
+    const curves = curvesIn(store, projection, width);
+    // SVG takes numbers of points with commas throughout.
+    const detected = s("g", { class: "found", fill: "none", "stroke-width": 0.6 * width }, ...lines.map((line) => s("polyline", { points: line.join(",") })));
+    const name = degrees(view.tilt_deg);
+    const figure = h("figure", {}, picture(`View at ${name} with the curves`, image, size, covered(size, step), [detected, curves.group]), h("figcaption", {}, name));
+    return { curves, detected, figure };
+  });
+  const show = (group: SVGElement, shown: boolean) => group.setAttribute("visibility", shown ? "visible" : "hidden");
+  drawn.forEach(({ detected }) => show(detected, false));
+  store.on(["selection", "colour"], () => drawn.forEach(({ curves }) => curves.colour()));
   return h(
     "div",
     { class: "images views" },
     h(
       "div",
       { class: "toolbar" },
-      h("div", { class: "ticks", role: "group", "aria-label": "Shown in the views" }, tick("Curves", true, (on) => redraw(() => (showsCurves = on))), tick("Lines detected there", false, (on) => redraw(() => (showsLines = on)))),
+      h(
+        "div",
+        { class: "ticks", role: "group", "aria-label": "Shown in the views" },
+        tick("Curves", true, (on) => drawn.forEach(({ curves }) => show(curves.group, on))),
+        tick("Lines detected there", false, (on) => drawn.forEach(({ detected }) => show(detected, on))),
+      ),
       h("span", { class: "hint" }, "Curves in the colours of the 3D view"),
     ),
-    strip,
+    h("div", { class: "strip" }, ...drawn.map(({ figure }) => figure)),
   );
 }
 
@@ -203,23 +206,18 @@ function tomogram(store: Store, found: Tomogram): HTMLElement {
     ["Curves with a line of the tomogram", of(c.result)],
     ["Lines of the tomogram with a curve", of(c.tomogram)],
     ["Within", `${fixed(c.reach_px[0], 0)} px across the beam and ${fixed(c.reach_px[1], 0)} px along it`],
-    ["Depth", c.depth_px ? `tomogram less curves ${fixed(c.depth_px[0], 1)} px in the median; half within ${fixed(c.depth_px[1], 1)} px of that` : "nothing to compare"],
+    ["Depth", c.depth_px ? `tomogram less curves ${fixed(c.depth_px[0], 1)} px in the median; half within ${fixed(c.depth_px[1], 1)} px of that. The shifts of the views were found on the curves, so a common offset tells nothing` : "nothing to compare"],
     ["Threshold", `${digits(c.threshold)}, ${digits(100 * c.share, 2)} % of the voxels: the one at which both agree best`],
   ];
-  const pair = h("div", { class: "tomogram-pictures" });
-  let shows = true;
-  const draw = () => {
-    const one = (label: string, text: string, image: string, shown: [number, number], projection: [Rows[0], Rows[1]]) => {
-      const over = shows ? [curvesIn(store, projection, Math.max(...shown) / 400)] : [];
-      return h("figure", {}, picture(label, image, shown, covered(shown, Math.ceil(Math.max(...shown) / 768)), over), h("figcaption", {}, text));
-    };
-    pair.replaceChildren(
-      one("Largest value of the tomogram along the beam, with the curves", "Along the beam: largest value along z", found.above, [size[0], size[1]], [voxels[0], voxels[1]]),
-      one("Largest value of the tomogram along the tilt axis, with the curves", "Along the tilt axis: largest value along y, viewer on top", found.edge, [size[0], size[2]], [voxels[0], voxels[2]]),
-    );
+  const one = (label: string, text: string, image: string, shown: [number, number], step: number, projection: [Row, Row]) => {
+    const curves = curvesIn(store, projection, Math.max(...shown) / 300);
+    return { curves, figure: h("figure", {}, picture(label, image, shown, covered(shown, step), [curves.group]), h("figcaption", {}, text)) };
   };
-  draw();
-  store.on(["selection", "colour"], draw);
+  const drawn = [
+    one("Largest value of the tomogram along the beam, with the curves", "Along the beam: largest value along z", found.above, [size[0], size[1]], found.step[0], [voxels[0], voxels[1]]),
+    one("Largest value of the tomogram along the tilt axis, with the curves", "Along the tilt axis: largest value along y, viewer on top", found.edge, [size[0], size[2]], found.step[1], [voxels[0], voxels[2]]),
+  ];
+  store.on(["selection", "colour"], () => drawn.forEach(({ curves }) => curves.colour()));
   return h(
     "div",
     { class: "images views" },
@@ -227,11 +225,8 @@ function tomogram(store: Store, found: Tomogram): HTMLElement {
       "div",
       { class: "toolbar" },
       h("h3", {}, "Beside a tomogram"),
-      tick("Curves over the tomogram", true, (on) => {
-        shows = on;
-        draw();
-      }),
+      tick("Curves over the tomogram", true, (on) => drawn.forEach(({ curves }) => curves.group.setAttribute("visibility", on ? "visible" : "hidden"))),
     ),
-    h("div", { class: "tomogram" }, pair, h("table", { class: "record" }, h("tbody", {}, ...rows.map(([name, text]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, text)))))),
+    h("div", { class: "tomogram" }, h("div", { class: "tomogram-pictures" }, ...drawn.map(({ figure }) => figure)), h("table", { class: "record" }, h("tbody", {}, ...rows.map(([name, text]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, text)))))),
   );
 }

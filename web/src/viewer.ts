@@ -139,10 +139,12 @@ export class Viewer {
     const tilts = this.model.report.tilts_deg;
     const [low, high] = [Math.min(...tilts), Math.max(...tilts)];
     const mid = (low + high) / 2;
+    // Where the sign of depth was turned as asked, the foil turns the other way, so that both ends stay the micrographs.
+    const sense = this.model.report.frame.depth_flipped ? -RADIAN : RADIAN;
     const slider = h("input", { type: "range", id: "tilt", min: low, max: high, step: 0.01, value: mid });
     const output = h("output", { for: "tilt" });
     const show = (tiltDeg: number) => {
-      this.pose.tilt = (tiltDeg - mid) * RADIAN;
+      this.pose.tilt = (tiltDeg - mid) * sense;
       output.textContent = degrees(tiltDeg);
       this.moved();
     };

@@ -185,6 +185,25 @@ describe("the foil in 3D", () => {
     await context.close();
   });
 
+  for (const name of ["example", "flipped"]) {
+    test(`the ends of the slider are the micrographs: ${name}`, async () => {
+      const { page, context, data } = await open(browser, name);
+      const curve = longest(data);
+      const { x, disparity } = data.curves[curve];
+      for (const [side, end] of [Math.min(...data.tilts_deg), Math.max(...data.tilts_deg)].entries()) {
+        await page.getByLabel("Tilt", { exact: true }).fill(String(end));
+        const shown = await places(page, curve);
+        const zoom = await page.evaluate(() => window.tiltline.viewer.pose.zoom * window.tiltline.model.report.frame.pixel);
+        shown.forEach(([column], k) => {
+          // Columns of the rectified left and right image.
+          const apart = x[k] - x[0] + side * (disparity[k] - disparity[0]);
+          assert.ok(Math.abs(column - shown[0][0] - zoom * apart) < 0.05, `end ${end}, point ${k}`);
+        });
+      }
+      await context.close();
+    });
+  }
+
   test("views, stereo, colours and error bars change what is drawn", async () => {
     const { page, context, complaints } = await open(browser, "example");
     const stage = page.locator(".stage");
@@ -231,8 +250,9 @@ describe("the foil in 3D", () => {
   });
 
   test("two thousand curves are few draw calls and little script", async () => {
-    const { page, context, data, complaints } = await open(browser, "many", { viewport: { width: 900, height: 700 } });
+    const { page, context, data, path, complaints } = await open(browser, "many", { viewport: { width: 900, height: 700 } });
     assert.equal(data.curves.length, 2000);
+    assert.ok(statSync(path).size < 3e6, "small enough to mail");
     await page.getByLabel("Error bars").check();
     await page.evaluate(() => window.tiltline.store.select(5));
     await drawn(page);
@@ -335,55 +355,6 @@ describe("the images", () => {
     await page.waitForTimeout(800);
     assert.notDeepEqual(await visible(), first);
     assert.deepEqual(complaints, []);
-    await context.close();
-  });
-});
-
-describe("the other views of a series", () => {
-  test("curves are drawn on the lines of every view, and the figures are those of the data", async () => {
-    const { page, context, data, complaints } = await open(browser, "series");
-    assert.equal(await page.locator("nav a[href='#series']").count(), 1);
-    const views = data.series.views;
-    assert.equal(await page.locator("#series .chart").first().locator(".spot").count(), views.length);
-    assert.equal(await page.locator("#series .chart").first().locator(".spot.hollow").count(), 2);
-    assert.equal(await page.locator(".figures-table tbody tr").count(), views.length);
-    const pictures = page.locator(".strip svg");
-    assert.equal(await pictures.count(), data.series.pictures.length);
-    // The drawn points are the curves' points in the view's own pixels, where its detected lines are.
-    const drawn = await page.evaluate(() =>
-      [...document.querySelectorAll(".strip svg")].map((svg) => [...svg.querySelectorAll("polyline")].flatMap((line) => line.getAttribute("points").split(" ").map((text) => text.split(",").map(Number)))),
-    );
-    drawn.forEach((points, side) => {
-      const lines = data.series.pictures[side].lines;
-      const near = ([x, y]) =>
-        lines.some((line) => {
-          for (let k = 2; k < line.length; k += 2) {
-            const [ax, ay, bx, by] = [line[k - 2], line[k - 1], line[k], line[k + 1]];
-            const length = (bx - ax) ** 2 + (by - ay) ** 2 || 1;
-            const share = Math.min(1, Math.max(0, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length));
-            if (Math.hypot(ax + share * (bx - ax) - x, ay + share * (by - ay) - y) < 2.5) return true;
-          }
-          return false;
-        });
-      const share = points.filter(near).length / points.length;
-      assert.ok(points.length > 100 && share > 0.9, `view ${side}: ${share} of ${points.length}`);
-    });
-    const before = await pixels(page, pictures.first());
-    await page.getByLabel("Lines detected there").check();
-    assert.ok(difference(before, await pixels(page, pictures.first())) > 50);
-    await page.locator(".views").first().getByRole("checkbox", { name: "Curves" }).uncheck();
-    assert.equal(await page.locator(".strip svg").first().locator("g:not(.found)").count(), 0);
-    const tomogram = page.locator(".tomogram");
-    assert.match(await tomogram.textContent(), /SIRT, 30 iterations.*70 % of 1000 px.*50 % of 1500 px/s);
-    assert.equal(await tomogram.locator("svg").count(), 2);
-    assert.ok((await tomogram.locator("polyline").count()) > 20);
-    assert.deepEqual(complaints, []);
-    await context.close();
-  });
-
-  test("a report of a pair alone has no such part", async () => {
-    const { page, context } = await open(browser, "example");
-    assert.equal(await page.locator("#series, nav a[href='#series']").count(), 0);
     await context.close();
   });
 });

@@ -1,25 +1,23 @@
-//! A tomogram beside the curves of a result: the figures, and their place in the result's report.
+//! A tomogram beside the curves of a result: which alignment the two share, the figures, and their place in the result's report.
 
 use std::path::{Path, PathBuf};
 
-use miette::{IntoDiagnostic, Result, WrapErr, miette};
-use ndarray::{Array3, Axis};
-use tiltline::filter::percentiles;
-use tiltline::geometry::Point3;
-use tiltline::report::image::Picture;
-use tiltline::report::series::{ReportSeries, ReportTomogram};
+use miette::{IntoDiagnostic, Result, miette};
+use ndarray::Array3;
+use serde_json::Value;
+use tiltline::curve::Flag;
+use tiltline::report::tomogram::ReportTomogram;
 use tiltline::series::{SavedCurves, Series};
 use tiltline::tomography::Geometry;
-use tiltline::tomography::compare::{REACH_PX, compare};
 
-use crate::report::update;
+use crate::report::{check, update};
 
 /// Layers above and below the deepest curves, px.
 const MARGIN_PX: f64 = 16.0;
+/// Share of the points that the layers hold: a wrong match may lie anywhere.
+const HELD_SHARE: f64 = 0.99;
 /// A volume that is compared is held in memory as a whole; not more than so many voxels (4 bytes each).
 const MOST_VOXELS: usize = 1 << 31;
-/// Pictures of the volume have at most so many px a side.
-const PICTURE_PX: usize = 768;
 
 /// A result that a tomogram is compared with.
 pub struct Compared {
@@ -27,8 +25,16 @@ pub struct Compared {
     curves: SavedCurves,
 }
 
-/// A volume of zeros in memory.
-pub fn whole(shape: [usize; 3]) -> Result<Array3<f32>> {
+/// How views lie on each other with the curves' origin in the middle.
+pub struct SharedAlignment {
+    /// The transforms (`.xf`).
+    pub transforms: String,
+    /// Tilts that belong to them (`.tlt`), where a fit found them.
+    pub tilts: Option<String>,
+}
+
+/// A volume of zeros.
+pub fn volume_in_memory(shape: [usize; 3]) -> Result<Array3<f32>> {
     if shape.iter().product::<usize>() > MOST_VOXELS {
         let [depth, rows, columns] = shape;
         return Err(miette!(
@@ -39,108 +45,105 @@ pub fn whole(shape: [usize; 3]) -> Result<Array3<f32>> {
 }
 
 impl Compared {
-    /// Reads the curves of a result's folder.
-    pub fn read(folder: &Path) -> Result<Self> {
-        let curves = SavedCurves::read(folder).into_diagnostic()?;
+    /// Reads the curves of a result's folder (or its `curves.json`), and makes sure that its report can take more.
+    pub fn read(result: &Path) -> Result<Self> {
+        let curves = SavedCurves::read(result).into_diagnostic()?;
         if curves.curves.is_empty() {
-            return Err(miette!("{} has no curves: there is nothing to compare with", folder.display()));
+            return Err(miette!("{} has no curves: there is nothing to compare with", result.display()));
         }
-        Ok(Self { folder: folder.to_owned(), curves })
+        let parent = result.parent().map_or_else(PathBuf::new, Path::to_owned);
+        let folder = if result.is_dir() { result.to_owned() } else { parent };
+        check(&folder)?;
+        Ok(Self { folder, curves })
     }
 
-    /// The alignment of the series that was refined on the curves.
-    pub fn alignment(&self) -> Result<String> {
-        let candidates = ["reprojection/series.xf", "series.xf"].map(|name| self.folder.join(name));
-        let found = candidates.iter().find(|path| path.is_file()).ok_or_else(|| {
-            let folder = self.folder.display();
-            miette!(
-                "there is no series.xf in {folder} or its reprojection: run `tiltline reproject {folder} SERIES -o \
-                 {folder}/reprojection` first, or give --align"
-            )
-        })?;
-        Ok(found.to_string_lossy().into_owned())
+    /// The alignment of the series that was refined on these curves: that of a re-projection, or that of the fit to all views.
+    pub fn alignment(&self) -> Result<SharedAlignment> {
+        let of = |folder: &Path, name: &str| folder.join(name).to_string_lossy().into_owned();
+        let reprojection = self.folder.join("reprojection");
+        if self.is_reprojected(&reprojection) {
+            return Ok(SharedAlignment { transforms: of(&reprojection, "series.xf"), tilts: None });
+        }
+        if self.is_fitted() {
+            let transforms = of(&self.folder, "series.xf");
+            return Ok(SharedAlignment { transforms, tilts: Some(of(&self.folder, "series.tlt")) });
+        }
+        let folder = self.folder.display();
+        Err(miette!(
+            "{folder} has no alignment of the series that was made with its curves: run `tiltline reproject {folder} SERIES -o \
+             {folder}/reprojection` first, or give the series.xf of such a run with --align"
+        ))
     }
 
-    /// Layers that hold all curves.
+    /// Whether a folder has a re-projection of these very curves.
+    fn is_reprojected(&self, folder: &Path) -> bool {
+        let text = std::fs::read_to_string(folder.join("reprojection.json")).unwrap_or_default();
+        let read: Option<Value> = serde_json::from_str(&text).ok();
+        read.is_some_and(|json| json["curves_sha256"] == self.curves.sha256.as_str())
+            && folder.join("series.xf").is_file()
+    }
+
+    /// Whether the result is of a fit to all views, so that the alignment beside it is its own.
+    fn is_fitted(&self) -> bool {
+        let text = std::fs::read_to_string(self.folder.join("run.toml")).unwrap_or_default();
+        let Ok(record) = text.parse::<toml::Table>() else { return false };
+        let series = record.get("run").and_then(|run| run.get("series")).is_some();
+        let pair_only = record.get("acquisition").and_then(|acquisition| acquisition.get("pair_only"));
+        series && pair_only.and_then(toml::Value::as_bool) != Some(true) && self.folder.join("series.xf").is_file()
+    }
+
+    /// Layers that hold nearly all measured points.
     pub fn depth(&self) -> usize {
-        let points = self.curves.curves.iter().flat_map(|curve| &curve.points);
-        let deepest = points.map(|point| self.about_axis(point).z.abs()).fold(0.0, f64::max);
+        let (sin, cos) = self.curves.tilts.mid_rad().sin_cos();
+        let points = self.curves.curves.iter().flat_map(|curve| curve.points.iter().zip(&curve.flags));
+        let measured = points.filter(|(_, flag)| **flag == Flag::Ok);
+        let mut depths: Vec<f64> = measured.map(|(point, _)| (point.x * sin + point.z * cos).abs()).collect();
+        depths.sort_by(f64::total_cmp);
+        let deepest = depths.get((depths.len() as f64 * HELD_SHARE) as usize).or(depths.last()).copied().unwrap_or(0.0);
         (2.0 * (deepest + MARGIN_PX)).ceil() as usize
     }
 
-    /// From the mid-view frame to that of the series, whose z is the beam at tilt zero.
-    fn about_axis(&self, point: &Point3) -> Point3 {
-        let (sin, cos) = self.curves.tilts.mid_rad().sin_cos();
-        Point3::new(point.x * cos - point.z * sin, point.y, point.x * sin + point.z * cos)
-    }
-
-    /// Compares, puts the comparison into the report where there is one, and says it in words.
-    pub fn report(self, volume: &Array3<f32>, geometry: &Geometry, method: String, series: &Series) -> Result<String> {
-        let (layers, rows, columns) = volume.dim();
-        let middle_row = 0.5 * (rows as f64 - 1.0);
-        let place = |point: &Point3| {
-            let point = self.about_axis(point);
-            Point3::new(point.x, point.y + middle_row, point.z)
-        };
-        let curves: Vec<Vec<Point3>> =
-            self.curves.curves.iter().map(|curve| curve.points.iter().map(place).collect()).collect();
-        let along_px = REACH_PX * self.curves.tilts.depth_gain().abs();
-        let Some((comparison, _)) = compare(volume, geometry, &curves, along_px) else {
-            return Err(miette!(
-                "there is nothing bright in the tomogram to compare with; are the lines dark? then give --flatten --invert"
-            ));
-        };
-        let (_, pixel) = self.curves.unit;
-        let sign = if self.curves.depth_flipped { -1.0 } else { 1.0 };
-        let (sin, cos) = self.curves.tilts.mid_rad().sin_cos();
-        let voxels = [
-            [cos / pixel, 0.0, -sin * sign / pixel, geometry.axis_column],
-            [0.0, 1.0 / pixel, 0.0, middle_row],
-            [sin / pixel, 0.0, cos * sign / pixel, geometry.middle_layer()],
-        ];
-        let tomogram = ReportTomogram {
-            method,
-            comparison,
-            size: [columns, rows, layers],
-            above: picture(volume, Axis(0))?,
-            edge: picture(volume, Axis(1))?,
-            voxels,
-        };
-        let path = series.path.clone();
-        let shown = update(&self.folder, |report| {
-            let empty = ReportSeries {
-                path,
-                fitted: false,
-                views: Vec::new(),
-                checks: Vec::new(),
-                pictures: Vec::new(),
-                tomogram: None,
-            };
-            report.series.get_or_insert(empty).tomogram = Some(tomogram);
-        })
-        .wrap_err("cannot put the comparison into the report of the result")?;
-        let percent = |[length, share]: [f64; 2]| format!("{:.0} % of {length:.0} px", 100.0 * share);
-        let depth = comparison.depth_px.map_or(String::new(), |[off, spread]| {
-            format!("; its z less theirs {off:+.1} px in the median, half within {spread:.1} px of that")
-        });
-        let page = if shown { "; both are in report.html" } else { "" };
-        Ok(format!(
-            "compared   curves with a line of the tomogram within {:.0} px across and {along_px:.0} px along the beam: {}; lines of the \
-             tomogram with a curve: {}{depth} (threshold {:.4}, which suits the tomogram best){page}\n",
-            REACH_PX,
-            percent(comparison.result),
-            percent(comparison.tomogram),
-            comparison.threshold
-        ))
+    /// Compares, puts the comparison into the report where there is one, and says it in words. The volume is written by now: what
+    /// cannot be done is said, and is no failure.
+    pub fn report(self, volume: &Array3<f32>, geometry: &Geometry, method: String, series: &Series) -> String {
+        match ReportTomogram::new(volume, geometry, &self.curves, method) {
+            Ok(Some(tomogram)) => {
+                let mut text = in_words(&tomogram);
+                let path = series.path.clone();
+                let shown = update(&self.folder, |report| {
+                    let series = report.series.get_or_insert_default();
+                    series.tomogram = Some(tomogram);
+                    if series.path.is_empty() {
+                        series.path = path;
+                    }
+                });
+                match shown {
+                    Ok(true) => text += "shown      in report.html of the result\n",
+                    Ok(false) => {}
+                    Err(error) => text += &format!("warning    the report of the result does not show it: {error}\n"),
+                }
+                text
+            }
+            Ok(None) => "warning    there is nothing bright in the tomogram to compare with: are the lines dark? then give --flatten \
+                         --invert\n"
+                .into(),
+            Err(error) => format!("warning    the tomogram cannot be compared: {error}\n"),
+        }
     }
 }
 
-/// The largest value along an axis, as a picture.
-fn picture(volume: &Array3<f32>, axis: Axis) -> Result<Picture> {
-    let most = volume.fold_axis(axis, f32::NEG_INFINITY, |most, value| most.max(*value));
-    let [low, high] = percentiles(&most, [0.02, 0.998]);
-    let range = (high - low).max(f32::MIN_POSITIVE);
-    let grey = most.mapv_into(|value| (value - low) / range);
-    let step = grey.nrows().max(grey.ncols()).div_ceil(PICTURE_PX);
-    Picture::reduced(&grey, step.max(1)).into_diagnostic()
+fn in_words(tomogram: &ReportTomogram) -> String {
+    let comparison = &tomogram.comparison;
+    let [across, along] = comparison.reach_px;
+    let percent = |[length, share]: [f64; 2]| format!("{:.0} % of {length:.0} px", 100.0 * share);
+    let depth = comparison.depth_px.map_or(String::new(), |[off, spread]| {
+        format!("\n           z of the tomogram less theirs: median {off:+.1} px, half within {spread:.1} px of it")
+    });
+    format!(
+        "compared   curves with a line of the tomogram within {across:.0} px across and {along:.0} px along the beam: {}\n           \
+         lines of the tomogram with a curve: {}{depth}\n           at threshold {:.4}, at which both agree best\n",
+        percent(comparison.result),
+        percent(comparison.tomogram),
+        comparison.threshold
+    )
 }

@@ -7,6 +7,7 @@ use tiltline::score::{ImageStatistics, detected_lines, image_statistics};
 
 use crate::args::Info;
 use crate::output;
+use crate::quantity::short;
 
 /// Describes each file; a file that cannot be read does not keep the others from being described.
 pub fn run(flags: &Info) -> Result<()> {
@@ -60,7 +61,7 @@ fn table(Description { info, statistics }: &Description) -> String {
     let from = |source: &Option<String>| source.as_ref().map_or(String::new(), |source| format!(" ({source})"));
     row("format", format!("{}, {}, {}", info.format.name(), info.sample_type.name(), info.byte_order.name()));
     row("size", format!("{} x {} px, {} page{}", info.columns, info.rows, info.pages, plural(info.pages)));
-    let size = info.pixel_size_nm.map(|nm| format!("{nm} nm"));
+    let size = info.pixel_size_nm.map(|nm| format!("{} nm", short(nm)));
     row("pixel size", size.map_or("unknown".into(), |size| size + &from(&info.pixel_size_from)));
     let tilts = info.tilts_deg.as_deref().map(describe_tilts);
     row("tilts", tilts.map_or("unknown".into(), |tilts| tilts + &from(&info.tilts_from)));

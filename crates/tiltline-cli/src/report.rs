@@ -42,6 +42,12 @@ pub fn update(folder: &Path, change: impl FnOnce(&mut tiltline::report::Report))
     Ok(true)
 }
 
+/// Makes sure that the report in a result's folder, if there is one, can be read and so changed.
+pub fn check(folder: &Path) -> Result<()> {
+    let path = folder.join(REPORT);
+    if path.is_file() { read(&path).map(drop) } else { Ok(()) }
+}
+
 fn read(path: &Path) -> Result<tiltline::report::Report> {
     let text =
         std::fs::read_to_string(path).into_diagnostic().wrap_err_with(|| format!("cannot read {}", path.display()))?;

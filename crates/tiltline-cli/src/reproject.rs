@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use miette::{IntoDiagnostic, Result, WrapErr, miette};
+use miette::{IntoDiagnostic, Result, miette};
 use tiltline::export::{Staging, check_target, reprojection, xf};
 use tiltline::io::{parse_tilts, xf as transforms};
+use tiltline::progress::Stage;
 use tiltline::report::series::ReportSeries;
 use tiltline::series::{AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject};
+use tiltline::warning::Warning;
 
 use crate::args::{Lines, Method, Verbosity};
 use crate::interrupt;
@@ -103,19 +105,25 @@ pub fn run(flags: &Reproject) -> Result<()> {
     found.warnings = warnings;
     let pictures = pictures(flags, &views);
     interrupt::write_folder(&flags.output, flags.force, |staging| write(staging, &found, &curves, &series, &pictures))?;
-    let section = ReportSeries::of_reprojection(&found, &series, &curves, &ReportSeries::pictured(&pictures))
-        .into_diagnostic()?;
-    let shown = report::update(&flags.result, |report| {
-        let tomogram = report.series.take().and_then(|before| before.tomogram);
-        report.series = Some(ReportSeries { tomogram, ..section });
-    })
-    .wrap_err("the re-projection is written, but the report of the result cannot show it")?;
+    let shown = ReportSeries::of_reprojection(&found, &series, &curves, &ReportSeries::pictured(&pictures))
+        .into_diagnostic()
+        .and_then(|section| {
+            report::update(&flags.result, |report| report.series = Some(section.after(report.series.take())))
+        });
+    let page = match shown {
+        Ok(true) => ", and shown in report.html of the result",
+        Ok(false) => "",
+        Err(error) => {
+            let message = format!("report.html of the result does not show this: {error}");
+            found.warnings.push(Warning::new(Stage::Export, message));
+            ""
+        }
+    };
     if flags.json {
         let mut text = Vec::new();
         reprojection::write_json(&found, &curves, &mut text).into_diagnostic()?;
         return output::print(&String::from_utf8_lossy(&text));
     }
-    let page = if shown { ", and shown in report.html of the result" } else { "" };
     output::print(&format!("{}written to {}{page}\n", text(&found), flags.output.display()))
 }
 

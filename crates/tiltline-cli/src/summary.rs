@@ -11,6 +11,8 @@ use tiltline::reconstruction::{LengthUnit, Reconstruction};
 use tiltline::rectify::Rectification;
 use tiltline::warning::Warning;
 
+use crate::quantity::short;
+
 /// What a user wants to know first.
 #[derive(Debug, Serialize)]
 pub struct Summary {
@@ -130,8 +132,8 @@ impl fmt::Display for Summary {
         let mut row = |name: &str, text: String| writeln!(formatter, "{name:<15} {text}");
         let Provenance { tilts_deg: [left, right], tilts_from, pixel_size_from } = &self.provenance;
         let size = match (self.pixel_size_nm, pixel_size_from) {
-            (Some(nm), Some(origin)) => format!("{nm} nm ({origin})"),
-            (Some(nm), None) => format!("{nm} nm"),
+            (Some(nm), Some(origin)) => format!("{} nm ({origin})", short(nm)),
+            (Some(nm), None) => format!("{} nm", short(nm)),
             (None, _) => "of unknown size: lengths are in px".into(),
         };
         row("pair", format!("tilts {left} and {right}\u{b0} ({tilts_from}); pixels {size}"))?;

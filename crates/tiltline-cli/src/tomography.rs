@@ -13,9 +13,10 @@ use tiltline::progress::Event;
 use tiltline::series::{AlignedSeries, Series, align};
 use tiltline::tomography::prepare::{PrepareSettings, prepare, upright, upright_from_projection};
 use tiltline::tomography::{Filter, Geometry, Method, SirtSettings, WbpSettings, coverage, evenly_spaced, reconstruct};
+use tiltline::warning::Warning;
 
 use crate::args::Verbosity;
-use crate::compared::{Compared, whole};
+use crate::compared::{Compared, volume_in_memory};
 use crate::interrupt;
 use crate::output;
 use crate::progress::Count;
@@ -42,8 +43,8 @@ pub struct Tomography {
     /// taken to be aligned.
     #[arg(long, value_name = "FILE.xf|auto")]
     pub align: Option<String>,
-    /// Compare with the curves of a result of this series, and show both in its report. Aligns by the series.xf of the result or
-    /// of its reprojection/, unless --align is given.
+    /// Compare with the curves of a result of this series, and show both in its report. Aligns by what `tiltline reproject` wrote
+    /// into its reprojection/ or a fit to all views beside it; --align FILE.xf names that of a re-projection elsewhere.
     #[arg(long, value_name = "RESULT")]
     pub compare: Option<PathBuf>,
     /// Direction of the tilt axis, degrees clockwise on the screen from image y (0 vertical, 90 horizontal); an .xf says its own
@@ -127,6 +128,16 @@ pub fn run(flags: &Tomography) -> Result<()> {
             wrong_usage(&format!("{name} {value} is not a number"));
         }
     }
+    let has_axis = flags.tilt_axis.is_some() && flags.align.as_deref() != Some("auto");
+    if has_axis && (flags.align.is_some() || flags.compare.is_some()) {
+        wrong_usage("--tilt-axis is not for views aligned by an .xf, which says where the axis lies");
+    }
+    if flags.compare.is_some() && (flags.align.as_deref() == Some("auto") || flags.axis_offset != 0.0) {
+        wrong_usage(
+            "--compare needs the alignment that was refined on the curves: that of `tiltline reproject`, without --align auto and \
+             --axis-offset",
+        );
+    }
     if let Some(sigma) = flags.flatten.filter(|sigma| !(*sigma > 0.0 && sigma.is_finite())) {
         wrong_usage(&format!("--flatten {sigma} is not a positive number of px"));
     }
@@ -135,14 +146,14 @@ pub fn run(flags: &Tomography) -> Result<()> {
     }
     let start = Instant::now();
     let result = flags.compare.as_deref().map(Compared::read).transpose()?;
-    let Views { series, images, tilts_deg, pixel_size_nm } = read(flags, result.as_ref())?;
+    let Views { series, images, tilts_deg, pixel_size_nm, warnings } = read(flags, result.as_ref())?;
     let tilts_rad: Vec<f64> = tilts_deg.iter().map(|tilt| tilt.to_radians()).collect();
     let covered = coverage(&tilts_rad).into_diagnostic()?;
     let (rows, width) = images[0].dim();
     let depth = flags.depth.or(result.as_ref().map(Compared::depth)).unwrap_or(width);
     let mut geometry = Geometry::centred(tilts_rad, width, depth);
     geometry.axis_column += flags.axis_offset;
-    let whole = result.as_ref().map(|_| whole([geometry.depth, rows, width])).transpose()?.map(Mutex::new);
+    let whole = result.as_ref().map(|_| volume_in_memory([geometry.depth, rows, width])).transpose()?.map(Mutex::new);
 
     let progress = Count::new("slabs", flags.verbosity);
     interrupt::write_file(&flags.output, |file| {
@@ -180,11 +191,11 @@ pub fn run(flags: &Tomography) -> Result<()> {
     let compared = match (result, whole) {
         (Some(result), Some(whole)) => {
             let method = format!("{}, {} views from {least} to {largest} degrees", named(&method), images.len());
-            result.report(&whole.into_inner().expect(LOCK), &geometry, method, &series)?
+            result.report(&whole.into_inner().expect(LOCK), &geometry, method, &series)
         }
         _ => String::new(),
     };
-    let warnings: String = series.warnings.iter().map(|warning| format!("warning    {warning}\n")).collect();
+    let warnings: String = warnings.iter().map(|warning| format!("warning    {warning}\n")).collect();
     output::print(&format!(
         "views      {} from {least} to {largest} degrees, {wedge}\nvolume     {width} x {rows} x {} voxels, {unit}\n\
          time       {:.1} s\n{compared}{warnings}written to {}\n",
@@ -210,11 +221,18 @@ struct Views {
     images: Vec<Array2<f32>>,
     tilts_deg: Vec<f64>,
     pixel_size_nm: Option<f64>,
+    warnings: Vec<Warning>,
 }
 
 /// Reads the views that are used, one at a time.
 fn read(flags: &Tomography, result: Option<&Compared>) -> Result<Views> {
-    let series = Series::open(&flags.series, flags.tilts.as_deref(), &ReadOptions::default()).into_diagnostic()?;
+    let shared = match (result, &flags.align) {
+        (Some(result), None) => Some(result.alignment()?),
+        _ => None,
+    };
+    let fitted_tilts = shared.as_ref().and_then(|shared| shared.tilts.as_deref());
+    let tilts = flags.tilts.as_deref().or(fitted_tilts);
+    let series = Series::open(&flags.series, tilts, &ReadOptions::default()).into_diagnostic()?;
     let tilts_deg = series.tilts_deg();
     let chosen = match flags.views {
         Some(count) => evenly_spaced(&tilts_deg, count).into_diagnostic()?,
@@ -222,15 +240,12 @@ fn read(flags: &Tomography, result: Option<&Compared>) -> Result<Views> {
     };
     let settings = PrepareSettings { flatten_px: flags.flatten, invert: flags.invert };
     let axis_rad = flags.tilt_axis.unwrap_or(0.0).to_radians();
-    let aligned = match (flags.align.as_deref(), result) {
+    let aligned = match (flags.align.as_deref(), &shared) {
         (Some("auto"), _) => Some(align(&series, axis_rad, &|_, _| ()).into_diagnostic()?),
         (Some(file), _) => Some(alignment(&series, file)?),
-        (None, Some(result)) => Some(alignment(&series, &result.alignment()?)?),
+        (None, Some(shared)) => Some(alignment(&series, &shared.transforms)?),
         (None, None) => None,
     };
-    if aligned.is_some() && flags.tilt_axis.is_some() && flags.align.as_deref() != Some("auto") {
-        wrong_usage("--tilt-axis is not for views aligned by an .xf, which says where the axis lies");
-    }
     let axis_rad = aligned.as_ref().map_or(axis_rad, |aligned| aligned.axis_rad);
     let (upright_from_image, shape) = upright(series.shape, axis_rad);
     let mut images = Vec::with_capacity(chosen.len());
@@ -248,7 +263,9 @@ fn read(flags: &Tomography, result: Option<&Compared>) -> Result<Views> {
     }
     let pixel_size_nm = flags.pixel_size.map(|size| size.nm).or(series.pixel_size.as_ref().map(|(size, _)| *size));
     let tilts_deg = chosen.iter().map(|view| tilts_deg[*view]).collect();
-    Ok(Views { series, images, tilts_deg, pixel_size_nm })
+    let mut warnings = series.warnings.clone();
+    warnings.extend(aligned.into_iter().flat_map(|aligned| aligned.warnings));
+    Ok(Views { series, images, tilts_deg, pixel_size_nm, warnings })
 }
 
 fn alignment(series: &Series, file: &str) -> Result<AlignedSeries> {

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use assert_cmd::Command;
+use tiltline::report::page;
 
 fn tiltline(arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("tiltline").unwrap();
@@ -52,6 +53,10 @@ fn a_series_gives_curves_of_all_views_and_these_are_reprojected() {
     let apart = pair[1].as_float().unwrap() - pair[0].as_float().unwrap();
     assert!((3.0..=16.0).contains(&apart), "{apart}");
 
+    let report = page::read(&read("report.html")).unwrap().series.unwrap();
+    assert!(report.fitted && report.views.len() + 1 == read("views.csv").lines().count());
+    assert!(report.pictures.len() >= 3 && report.views.iter().all(|view| view.tilt_error_deg.is_some()));
+
     let again = at("reprojection");
     let text = stdout(&mut tiltline(&["reproject", &out, &series, "--views=-12,5", "-o", &again, "-q"]));
     assert!(text.contains("-12.0\u{b0}") && text.contains("+4.0\u{b0}"), "{text}");
@@ -64,6 +69,25 @@ fn a_series_gives_curves_of_all_views_and_these_are_reprojected() {
     // The alignment that was written is read back.
     let flags = ["reproject", &out, &series, "--views", "0", "-o", &at("aligned"), "-q", "--align"];
     tiltline(&flags).arg(Path::new(&again).join("series.xf")).assert().success();
+    // The report shows the re-projection; then the tomogram beside the curves too.
+    let shown = |name: &str| {
+        let text = fs::read_to_string(Path::new(&at(name)).join("report.html")).unwrap();
+        page::read(&text).unwrap().series.unwrap()
+    };
+    let section = shown("out");
+    // The curves were fitted to these views: drawn into them again, they are no test.
+    assert!(section.fitted && section.tomogram.is_none());
+    assert_eq!(section.views.len(), 1);
+    let tomogram = at("tomogram.mrc");
+    let flags = ["tomography", "sirt", &series, "--flatten", "--invert", "--compare", &out, "-o", &tomogram, "-q"];
+    let text = stdout(&mut tiltline(&flags));
+    assert!(text.contains("compared") && text.contains("report.html"), "{text}");
+    let wrong = [&flags[..], &["--force", "--align", "auto"]].concat();
+    assert!(stderr(&mut tiltline(&wrong), 2).contains("refined on the curves"));
+    let section = shown("out");
+    assert_eq!(section.views.len(), 1, "what was shown stays");
+    let size = section.tomogram.unwrap().size;
+    assert_eq!([size[0], size[1]], [256, 256]);
     // An angle that no view has.
     let flags = ["reproject", &out, &series, "--views", "30", "-o", &at("far"), "-q"];
     assert!(stderr(&mut tiltline(&flags), 1).contains("nearest is at 16"));

@@ -10,7 +10,7 @@ use tiltline::geometry::TiltPair;
 use tiltline::io::read_micrograph;
 use tiltline::matching::ClassicalMatcher;
 use tiltline::measure::{CurveMeasures, DepthRange, Foil, FoilSurfaces, Known, Measures};
-use tiltline::micrograph::StereoPair;
+use tiltline::micrograph::{StereoPair, View};
 use tiltline::pipeline;
 use tiltline::progress::Stage;
 use tiltline::reconstruction::{LengthUnit, Reconstruction};
@@ -45,6 +45,7 @@ pub fn write(folder: &Path) -> Result<()> {
     let extra = [("report.html", text.into_bytes())];
     export::write_all(&result, &extra, &folder.join("example"), true).into_diagnostic()?;
     put(folder, "series", &Report { series: Some(series(&result)?), ..report.clone() })?;
+    put(folder, "flipped", &flipped(report.clone()))?;
     put(folder, "many", &many(&report))?;
     put(folder, "hostile", &hostile(report.clone()))?;
     put(folder, "empty", &empty(report))
@@ -87,7 +88,13 @@ fn series(result: &Reconstruction) -> Result<ReportSeries> {
     });
     let pictures = [&result.pair.left, &result.pair.right].into_iter().zip(&curves.poses).enumerate();
     let pictures = pictures.map(|(side, (view, pose))| {
-        let lines = ViewLines { traces: result.traces[side].clone(), shape: [view.height(), view.width()] };
+        // Traces are on the rectified grid.
+        let map = result.rectified.rectification.rectified_from(View::BOTH[side]).inverse();
+        let mut traces = result.traces[side].clone();
+        for point in traces.traces.iter_mut().flat_map(|trace| &mut trace.points) {
+            point.position = map * point.position;
+        }
+        let lines = ViewLines { traces, shape: [view.height(), view.width()] };
         ViewPicture::new(view, [-4.0, 4.0][side], pose, &LineIndex::new(lines), &curves)
     });
     let [rows, columns] = result.rectified.rectification.shape;
@@ -98,6 +105,7 @@ fn series(result: &Reconstruction) -> Result<ReportSeries> {
         fitted: false,
         views: views.to_vec(),
         checks: vec!["the pair's order agrees with the tilts of the series".into()],
+        warnings: vec![Warning::new(Stage::Read, HOSTILE)],
         pictures: pictures.collect::<Result<_, _>>().into_diagnostic()?,
         tomogram: Some(ReportTomogram {
             method: "SIRT, 30 iterations, 5 views from -12 to 12 degrees".into(),
@@ -112,9 +120,18 @@ fn series(result: &Reconstruction) -> Result<ReportSeries> {
             size: [columns, rows, 60],
             above: Picture::encode(&result.lines[0].probability).into_diagnostic()?,
             edge: Picture::encode(&edge).into_diagnostic()?,
+            step: [1, 1],
             voxels: [[1.0 / pixel, 0.0, 0.0, cx], [0.0, 1.0 / pixel, 0.0, cy], [0.0, 0.0, 1.0 / pixel, 29.5]],
         }),
     })
+}
+
+/// The result with the other sign of depth, as `--flip-depth` gives it.
+fn flipped(mut report: Report) -> Report {
+    report.frame.depth_flipped = true;
+    report.frame.depth_gain = -report.frame.depth_gain;
+    report.frame.median_z = -report.frame.median_z;
+    report
 }
 
 /// Many short curves in a foil of known thickness.

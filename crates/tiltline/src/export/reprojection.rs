@@ -78,6 +78,7 @@ pub fn write_json(result: &Reprojection, curves: &SavedCurves, out: &mut (impl W
     let value = json!({
         "format_version": FORMAT_VERSION,
         "pair_tilts_deg": tilts,
+        "curves_sha256": curves.sha256,
         "checks": result.checks,
         "in_words": result.checks.sentences(),
         "views": views,

@@ -8,6 +8,7 @@ pub mod figures;
 pub mod image;
 pub mod page;
 pub mod series;
+pub mod tomogram;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::image::Picture;
+use super::tomogram::ReportTomogram;
 use super::{GEOMETRY_DIGITS, MEASURE_DIGITS, ReportError, kept, thinned};
 use crate::export::number::rounded;
 use crate::geometry::Point2;
@@ -10,15 +11,17 @@ use crate::micrograph::Micrograph;
 use crate::series::{
     Distances, LineIndex, Reprojection, SavedCurves, Series, SeriesError, SeriesFit, ViewPose, chance_near_lines,
 };
-use crate::tomography::compare::Comparison;
+use crate::warning::Warning;
 
 /// Pictures of views have at most so many px a side: they are looked at in a row.
 const PICTURE_PX: usize = 448;
+/// Tilts that differ by less are the same view's, degrees.
+const SAME_TILT_DEG: f64 = 0.005;
 /// Views that are pictured where none are named.
 pub const PICTURES: usize = 8;
 
 /// A series in the report.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ReportSeries {
     /// The file or folder.
     pub path: String,
@@ -28,6 +31,9 @@ pub struct ReportSeries {
     pub views: Vec<ReportSeriesView>,
     /// What the other views say about the pair, in sentences.
     pub checks: Vec<String>,
+    /// Doubts about the series and its alignment.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<Warning>,
     /// Pictures of some of the views.
     pub pictures: Vec<ViewPicture>,
     /// The comparison with a tomogram, if one was made.
@@ -66,23 +72,6 @@ pub struct ViewPicture {
     pub projection: [[f64; 4]; 2],
     /// Detected lines, each `x, y, x, y, ...` in px of the view.
     pub lines: Vec<Vec<f64>>,
-}
-
-/// Curves beside a tomogram.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ReportTomogram {
-    /// How the tomogram was made, in words.
-    pub method: String,
-    /// The figures.
-    pub comparison: Comparison,
-    /// Columns, rows and layers, voxels.
-    pub size: [usize; 3],
-    /// The largest value along z, and along y (layers down), as pictures.
-    pub above: Picture,
-    /// See `above`.
-    pub edge: Picture,
-    /// Rows (a, b, c, d): voxel x, y, z are `a x + b y + c z + d` of a curve's position in the unit of the frame.
-    pub voxels: [[f64; 4]; 3],
 }
 
 /// Rows that project positions of the result's curves, in its unit and with its sign of depth, into a view.
@@ -163,9 +152,24 @@ impl ReportSeries {
             fitted: false,
             views: found.views.iter().map(view).collect::<Result<_, ReportError>>()?,
             checks: found.checks.sentences(),
+            warnings: found.warnings.clone(),
             pictures: pictures.collect::<Result<_, _>>()?,
             tomogram: None,
         })
+    }
+
+    /// What stays when curves that a report showed are drawn into views again: that they were fitted to views, what that found
+    /// of the tilts, and the tomogram.
+    #[must_use]
+    pub fn after(mut self, before: Option<Self>) -> Self {
+        let Some(before) = before else { return self };
+        self.fitted |= before.fitted;
+        for view in &mut self.views {
+            let same = before.views.iter().find(|other| (other.tilt_deg - view.tilt_deg).abs() < SAME_TILT_DEG);
+            view.tilt_error_deg = view.tilt_error_deg.or(same.and_then(|other| other.tilt_error_deg));
+        }
+        self.tomogram = self.tomogram.or(before.tomogram);
+        self
     }
 
     /// Of a fit to all views.
@@ -200,6 +204,7 @@ impl ReportSeries {
             fitted: true,
             views: order.iter().map(view).collect::<Result<_, ReportError>>()?,
             checks: Vec::new(),
+            warnings: Vec::new(),
             pictures: pictures.collect::<Result<_, _>>()?,
             tomogram: None,
         })

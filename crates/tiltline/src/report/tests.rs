@@ -217,9 +217,20 @@ fn a_series_is_kept_in_the_page_and_at_most_eight_views_are_pictured() {
         tilt_error_deg: Some([0.01, 0.05]),
     }];
     let (path, checks) = ("series </script>.mrc".to_owned(), vec!["fine".to_owned()]);
-    let series = ReportSeries { path, fitted: true, views, checks, pictures: Vec::new(), tomogram: None };
+    let series = ReportSeries { path, fitted: true, views, checks, ..ReportSeries::default() };
     let report = Report { series: Some(series), ..Report::new(&IN_PX, "").unwrap() };
     assert_eq!(page::read(&page::write(&report).unwrap()).unwrap(), report);
+    let figure = figures::all(&report).pop().unwrap();
+    assert_eq!(figure.name, "series");
+    // The median of 1 px and 95 percent at 3 px, of 4 px up: a dot a quarter up, in both panels.
+    assert!(figure.svg.contains("Residuals") && figure.svg.matches("<circle").count() == 2);
+    // Drawn into views again, the curves are still fitted ones.
+    let before = report.series.clone().unwrap();
+    let again = ReportSeries { fitted: false, ..before.clone() };
+    let mut again =
+        ReportSeries { views: vec![ReportSeriesView { tilt_error_deg: None, ..before.views[0].clone() }], ..again };
+    again = again.after(Some(before));
+    assert!(again.fitted && again.views[0].tilt_error_deg == Some([0.01, 0.05]));
     assert_eq!(ReportSeries::pictured(&(10..55).collect::<Vec<_>>()), [10, 16, 22, 28, 35, 41, 47, 54]);
     assert_eq!(ReportSeries::pictured(&[3, 5]), [3, 5]);
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
 
 use super::{SeriesError, ViewPose};
 use crate::curve::{Curve3, Flag};
@@ -41,6 +42,8 @@ pub struct SavedCurves {
     pub unit: (LengthUnit, f64),
     /// Whether the result's depths have the other sign, as was asked for.
     pub depth_flipped: bool,
+    /// SHA-256 of the file they were read from, in hex; empty for curves that were not.
+    pub sha256: String,
 }
 
 #[derive(Deserialize)]
@@ -74,7 +77,8 @@ impl SavedCurves {
         let text = std::fs::read_to_string(&path).map_err(|error| fault(format!("cannot be read: {error}")))?;
         let file: File = serde_json::from_str(&text)
             .map_err(|error| fault(format!("it is no curves.json of `tiltline reconstruct`: {error}")))?;
-        file.curves().map_err(fault)
+        let sha256 = Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self { sha256, ..file.curves().map_err(fault)? })
     }
 }
 
@@ -115,6 +119,7 @@ impl File {
             poses: poses(&self.rectification, tilts, &self.frame),
             unit: (unit, pixel),
             depth_flipped,
+            sha256: String::new(),
         })
     }
 }
@@ -160,6 +165,7 @@ impl SavedCurves {
             poses: poses(&result.rectified.rectification, result.pair.tilts, &result.frame),
             unit: (unit, pixel),
             depth_flipped,
+            sha256: String::new(),
         }
     }
 

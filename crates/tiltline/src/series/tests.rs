@@ -199,7 +199,14 @@ fn saved(scene: &Scene, views: [&ViewSettings; 2], sign: f64) -> SavedCurves {
         ViewPose::new(view.tilt_rad, view.axis_rad, view.scale, view.image_from_projection() * Point2::origin())
     });
     let tilts = TiltPair::from_degrees(-4.0, 4.0);
-    SavedCurves { curves: curves.collect(), tilts, poses, unit: (LengthUnit::Px, 1.0), depth_flipped: false }
+    SavedCurves {
+        curves: curves.collect(),
+        tilts,
+        poses,
+        unit: (LengthUnit::Px, 1.0),
+        depth_flipped: false,
+        sha256: String::new(),
+    }
 }
 
 /// Lines of the scene in a view without error: what a perfect detector would find.

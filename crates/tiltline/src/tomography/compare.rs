@@ -1,7 +1,8 @@
 //! Curves of a result beside the tomogram of their series.
 //!
 //! Neither is the truth. The tomogram is taken at the threshold at which its own curves agree best with the result's, so what is
-//! left between them is what no threshold mends. Both are in the frame of the series' alignment, which was refined on the curves.
+//! left between them is what no threshold mends. Both are in the frame of the series' alignment, which was refined on the curves: a
+//! common offset in depth is taken up by the shifts of the views, and that there is none says nothing.
 
 use ndarray::Array3;
 use rstar::RTree;
@@ -123,8 +124,10 @@ fn near(curves: &[Vec<Point3>], others: &[Vec<Point3>], [across, along]: [f64; 2
 fn depth(result: &[Vec<Point3>], tomogram: &[Vec<Point3>]) -> Option<[f64; 2]> {
     let tree = tree(tomogram);
     let off = |point: &Point3| {
-        let within = tree.locate_within_distance([point.x, point.y], REACH_PX * REACH_PX);
-        within.map(|other| other.data - point.z).min_by(|a, b| a.abs().total_cmp(&b.abs()))
+        // The nearest in the image, not in depth: that would draw differences towards nothing.
+        let nearest = tree.nearest_neighbor([point.x, point.y])?;
+        let [x, y] = *nearest.geom();
+        ((x - point.x).hypot(y - point.y) <= REACH_PX).then_some(nearest.data - point.z)
     };
     let median = |values: &mut Vec<f64>| {
         values.sort_by(f64::total_cmp);

@@ -6,6 +6,7 @@
 mod charts;
 mod images;
 mod projections;
+mod series;
 mod svg;
 
 use crate::report::Report;
@@ -28,6 +29,9 @@ pub fn all(report: &Report) -> Vec<Figure> {
     }
     if !report.point_matches.x.is_empty() {
         figures.push(Figure { name: "residuals", svg: charts::residuals(report) });
+    }
+    if let Some(svg) = series::draw(report) {
+        figures.push(Figure { name: "series", svg });
     }
     figures
 }
