@@ -6,7 +6,7 @@
 mod charts;
 mod images;
 mod projections;
-mod svg;
+pub(crate) mod svg;
 
 use crate::report::Report;
 
