@@ -160,7 +160,7 @@ impl<'a> Foil<'a> {
         config.acquisition.tilts_deg = Some(tilts);
         let stages = &self.work.stages;
         let key = &self.hash.get(..12).unwrap_or("unknown");
-        let method: String = stages.names.iter().map(|name| name.chars().rev().take(8).collect::<String>()).collect();
+        let method = stages.names.join("-").replace(' ', "-");
         let folder = self.work.folder.join("pairs");
         std::fs::create_dir_all(&folder).into_diagnostic()?;
         let folder = folder.join(format!("{}-{}-{}-{key}-{method}", self.item.name, views[0], views[1]));

@@ -73,7 +73,7 @@ impl Grid {
 
     fn total(&self, panels: usize) -> f64 {
         let rows = panels.div_ceil(self.across.max(1)) as f64;
-        MARGIN + FONT + rows * (self.height + BELOW + MARGIN) + LEGEND
+        FONT + rows * (self.height + BELOW + MARGIN) + LEGEND
     }
 }
 

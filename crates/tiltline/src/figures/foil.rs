@@ -72,7 +72,7 @@ pub fn probability_canvas(probability: &Array2<f32>, size: Size) -> Canvas {
 pub fn disparity(report: &Report) -> String {
     let [rows, columns] = report.rectification.shape.map(|side| side as f64);
     let (left, top) = (46.0, 14.0 + FONT);
-    let width = 0.62 * (WIDTH - left - 12.0);
+    let width = 0.74 * (WIDTH - left - 12.0);
     let plot = Plot { at: [left, top], size: [width, width * rows / columns], x: [0.0, columns], y: [0.0, rows] };
     let mut svg = Svg::new(top + plot.size[1] + 36.0);
     let mut values: Vec<f64> = report.curves.iter().flat_map(|curve| curve.disparity.iter().copied()).collect();

@@ -25,8 +25,15 @@ pub const STATES: [&str; 3] = ["as shipped", "trained further without the image"
 pub fn foils(size_px: usize) -> Manifest {
     let mut settings =
         SimulateSettings { size_px, tilts_deg: vec![-4.0, 4.0], ..SimulateSettings::of_family(Family::Tial) };
-    settings.look.line_contrast = [0.05, 0.12];
-    settings.acquisition.dose = [300.0, 1500.0];
+    // One series' look, as in the paper: weak lines in noise, and little else that could be taken for one.
+    let look = &mut settings.look;
+    look.line_contrast = [0.08, 0.16];
+    for mean in
+        [&mut look.boundary_families, &mut look.lamellae, &mut look.hair, &mut look.slip_traces, &mut look.bright]
+    {
+        *mean = 0.0;
+    }
+    settings.acquisition.dose = [500.0, 1000.0];
     settings.foil.field_lengths = Range::new(8.0, 16.0);
     settings.foil.density_per_m2 = Range::exactly(1e14);
     settings.foil.variety = 0.0;

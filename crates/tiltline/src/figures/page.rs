@@ -45,7 +45,8 @@ pub fn write(provenance: &Provenance, notes: &str, sections: &[Section]) -> Stri
         let _ = writeln!(page, "| `{name}` | {seed} | `{}` |", hash.get(..16).unwrap_or(hash));
     }
     for Section { heading, caption, body } in sections {
-        let _ = write!(page, "\n## {heading}\n\n{caption}\n\n{}\n", body.trim_end());
+        let caption = if caption.is_empty() { String::new() } else { format!("{caption}\n\n") };
+        let _ = write!(page, "\n## {heading}\n\n{caption}{}\n", body.trim_end());
     }
     page
 }
