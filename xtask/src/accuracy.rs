@@ -14,7 +14,8 @@ const INTRODUCTION: &str = "# Accuracy
 
 How well `tiltline reconstruct` finds lines and depths in the fixed simulated sets (docs/simulator.md), by the scores of docs/truth.md.
 Made by `cargo xtask accuracy`, which runs `tiltline bench SET` and `tiltline score` for each set; the settings are the defaults. The
-sets' SHA-256 are in `crates/tiltline/src/dataset/sets.toml`. In brackets: 95 percent intervals over pairs.
+sets' SHA-256 are in `crates/tiltline/src/dataset/sets.toml`. In brackets: 95 percent intervals over pairs. The same sets as the
+paper's tables and figures: [figures](figures/README.md).
 
 These are the networks that are part of the program; the classical methods on the same sets (`tiltline bench SET --detector ridge --matcher classical`)
 are beside them in docs/networks.md. `val-*` sets are for choosing between settings and weights, the others for reporting. Nothing is trained on any of them. Simulated images are meant to be harder and more varied than real ones

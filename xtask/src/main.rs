@@ -1,4 +1,4 @@
-//! The project's own chores: `cargo xtask ci|test|reference|accuracy|ablation|tomography|real|speed|weights|figures|example|web`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|ablation|real|speed|weights|figures|example|web`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod ablation;
@@ -10,7 +10,6 @@ mod npy;
 mod real;
 mod reference;
 mod speed;
-mod tomography;
 mod venv;
 mod web;
 mod weights;
@@ -23,7 +22,6 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   reference [TOPIC...]  comparisons with independent implementations (needs Python)
   accuracy              scores the program on the fixed sets: docs/accuracy.md
   ablation              what each stage loses on the fixed sets: docs/ablation.md
-  tomography            WBP and SIRT against the number of views, on the series of bench-series
   real [IMAGES]         the detector on real images labelled by hand (xtask/labels)
   speed                 time and memory of `tiltline reconstruct` from 512 to 4096 px
   weights               trains the shipped networks again (hours; goes on where it was stopped)
@@ -39,7 +37,6 @@ fn main() -> Result<()> {
         Some("reference") => reference::run(&arguments[1..]),
         Some("accuracy") => accuracy::measure(),
         Some("ablation") => ablation::measure(),
-        Some("tomography") => tomography::measure(&arguments[1..]),
         Some("real") => real::measure(&arguments[1..]),
         Some("speed") => speed::measure(),
         Some("weights") => weights::train(),

@@ -41,6 +41,8 @@ pub enum Command {
     Report(Report),
     /// Make a tomogram of a tilt series.
     Tomography(Box<crate::tomography::Tomography>),
+    /// Make the paper's tables and figures on this project's benchmark.
+    Figures(Box<crate::figures::Figures>),
     /// Say what is in a micrograph or series: size, type, pixel size, tilts, range, warnings.
     Info(Info),
     /// Print a completion script for a shell.

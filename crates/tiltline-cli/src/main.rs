@@ -6,6 +6,7 @@ mod bench;
 mod compared;
 mod config;
 mod dataset;
+mod figures;
 mod info;
 mod interrupt;
 mod method;
@@ -52,6 +53,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::View(flags) => view::run(&flags),
         Command::Report(flags) => report::run(&flags),
         Command::Tomography(flags) => tomography::run(&flags),
+        Command::Figures(flags) => figures::run(&flags),
         Command::Info(flags) => info::run(&flags),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -84,7 +84,7 @@ pub fn run(flags: &Report) -> Result<()> {
 }
 
 /// A figure as PNG at [`DOTS_PER_INCH`].
-fn raster(svg: &str) -> Result<Vec<u8>> {
+pub fn raster(svg: &str) -> Result<Vec<u8>> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(FONT.to_vec());
     fonts.set_sans_serif_family("DejaVu Sans");

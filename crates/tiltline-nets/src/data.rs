@@ -261,7 +261,7 @@ impl Source {
         let share = if self.settings.families.is_empty() { 1.0 } else { self.settings.folder_share };
         if !self.items.is_empty() && rng.random_range(0.0..1.0) < share {
             let (set, item) = &self.items[rng.random_range(0..self.items.len())];
-            return Example::of_item(&self.sets[*set], item);
+            return Example::of_item(&self.sets[*set], item, self.task);
         }
         Example::simulated(&self.settings, (self.seed << 32) | number, self.split, &mut rng)
     }
@@ -311,6 +311,16 @@ impl DataSettings {
         }
         self.augment.validate()
     }
+}
+
+/// A pair of a data set as a batch of one: rectified as the main job does it, the largest square in its middle whose sides suit every
+/// network, disparities as they are. `None` where it cannot be rectified.
+///
+/// # Errors
+/// Where its files cannot be read.
+pub fn whole(set: &Dataset, item: &Item) -> Result<Option<Batch>, DataError> {
+    let Some(example) = Example::rectified_item(set, item)? else { return Ok(None) };
+    Ok(Some(Batch::of(vec![Crop::middle(&example)], Task::Matcher)))
 }
 
 /// Batches of one crop each from foils that are never trained on, the same at every call: little changed, so that scores are

@@ -6,6 +6,7 @@ pub mod config;
 pub mod data;
 pub mod detector;
 pub mod device;
+pub mod figures;
 pub mod flatten;
 pub mod infer;
 pub mod layers;

@@ -13,6 +13,7 @@
 pub mod curve;
 pub mod dataset;
 pub mod export;
+pub mod figures;
 pub mod filter;
 pub mod geometry;
 pub mod io;

@@ -251,6 +251,17 @@ impl Crop {
         crop
     }
 
+    /// The largest square in the middle whose sides are multiples of 64 px, which suit every network; nothing is changed.
+    pub(super) fn middle(example: &Example) -> Self {
+        let (height, width) = example.images[0].dim();
+        let side = (height.min(width) / 64 * 64).max(64);
+        let middle = [width, height].map(|length| 0.5 * (length as f64 - 1.0));
+        let window = Window { side, common: turn(0.0), middle, right: (turn(0.0), [0.0; 2]), offset: 0.0 };
+        let mut crop = Self::cut(example, &window, Task::Matcher, 0);
+        crop.images = crop.images.map(|image| flattened(&image));
+        crop
+    }
+
     /// The maps in a window, grey values as they are; of one view for the detector.
     pub(super) fn cut(example: &Example, window: &Window, task: Task, view: usize) -> Self {
         let side = window.side;

@@ -15,7 +15,7 @@ use tiltline::simulate::sample::{Lines, sample};
 use tiltline::simulate::settings::{Mode, SimulateSettings};
 use tiltline::truth::{TrueView, Truth, draw_polyline};
 
-use super::{DataError, DataSettings};
+use super::{DataError, DataSettings, Task};
 
 /// Rows of both sides of a labelled match may differ by this much, px.
 const SAME_ROW_PX: f64 = 2.0;
@@ -82,30 +82,66 @@ impl Example {
         Ok(Self::new(images, lines, Some(disparity_map(&pair))))
     }
 
-    /// An item of a data set, rectified as the main job does it.
-    pub(super) fn of_item(set: &Dataset, item: &Item) -> Result<Self, DataError> {
-        let wrong = |why: String| DataError::Item { item: set.folder.join(&item.name), why };
-        let truth = set.truth(item)?;
-        let views = item.pair.map(|view| truth.views.get(view));
-        let [Some(left), Some(right)] = views else { return Err(wrong("its truth has no such views".into())) };
-        let read = |view: &TrueView| {
-            let path = set.path(item, &view.name);
-            read_micrograph(&path.to_string_lossy()).map_err(|error| wrong(error.to_string()))
-        };
-        let tilts = left.tilt_rad.zip(right.tilt_rad);
-        let (left_rad, right_rad) = tilts.ok_or_else(|| wrong("its tilts are not known".into()))?;
-        let (pair, _) = StereoPair::new(read(left)?, read(right)?, TiltPair { left_rad, right_rad }, 0.0)
-            .map_err(|error| wrong(error.to_string()))?;
-        let (rectified, _) =
-            rectify(&pair, &RectifySettings::default(), 0).map_err(|error| wrong(error.to_string()))?;
+    /// An item of a data set, rectified as the main job does it. Where that cannot be done, a detector, which needs no pair, is taught on
+    /// the images as they were recorded.
+    pub(super) fn of_item(set: &Dataset, item: &Item, task: Task) -> Result<Self, DataError> {
+        let (truth, pair) = read_item(set, item)?;
+        match Self::rectified(set, item, &truth, &pair)? {
+            Some(example) => Ok(example),
+            None if task == Task::Detector => Ok(Self::as_recorded(&truth, &pair, item)),
+            None => Err(wrong(set, item, "it cannot be rectified".into())),
+        }
+    }
+
+    /// An item of a data set, rectified; `None` where it cannot be.
+    pub(super) fn rectified_item(set: &Dataset, item: &Item) -> Result<Option<Self>, DataError> {
+        let (truth, pair) = read_item(set, item)?;
+        Self::rectified(set, item, &truth, &pair)
+    }
+
+    fn rectified(set: &Dataset, item: &Item, truth: &Truth, pair: &StereoPair) -> Result<Option<Self>, DataError> {
+        let Ok((rectified, _)) = rectify(pair, &RectifySettings::default(), 0) else { return Ok(None) };
         let maps = [rectified.rectification.rectified_from_left, rectified.rectification.rectified_from_right];
         let shape = rectified.left.dim();
-        let lines = [(left, &maps[0]), (right, &maps[1])]
-            .map(|(view, map)| (!view.curves.is_empty()).then(|| mapped_lines(&truth, view, map, shape)));
-        let disparity = mapped_disparity(&truth, item.pair, &maps, shape).map_err(wrong)?;
+        let lines = [0, 1].map(|view| labelled(truth, &truth.views[item.pair[view]], &maps[view], shape));
+        let disparity = mapped_disparity(truth, item.pair, &maps, shape).map_err(|why| wrong(set, item, why))?;
         let images = [rectified.left, rectified.right].map(|image| image.mapv(|v| if v.is_finite() { v } else { 0.0 }));
-        Ok(Self::new(images, lines, disparity))
+        Ok(Some(Self::new(images, lines, disparity)))
     }
+
+    fn as_recorded(truth: &Truth, pair: &StereoPair, item: &Item) -> Self {
+        let images = [&pair.left, &pair.right].map(Micrograph::normalised);
+        let lines = [0, 1]
+            .map(|view| labelled(truth, &truth.views[item.pair[view]], &Similarity2::identity(), images[view].dim()));
+        Self::new(images, lines, None)
+    }
+}
+
+fn wrong(set: &Dataset, item: &Item, why: String) -> DataError {
+    DataError::Item { item: set.folder.join(&item.name), why }
+}
+
+/// The truth of an item and its pair, whose views the truth is then sure to have.
+fn read_item(set: &Dataset, item: &Item) -> Result<(Truth, StereoPair), DataError> {
+    let wrong = |why: String| wrong(set, item, why);
+    let truth = set.truth(item)?;
+    let [Some(left), Some(right)] = item.pair.map(|view| truth.views.get(view)) else {
+        return Err(wrong("its truth has no such views".into()));
+    };
+    let read = |view: &TrueView| {
+        let path = set.path(item, &view.name);
+        read_micrograph(&path.to_string_lossy()).map_err(|error| wrong(error.to_string()))
+    };
+    let tilts = left.tilt_rad.zip(right.tilt_rad);
+    let (left_rad, right_rad) = tilts.ok_or_else(|| wrong("its tilts are not known".into()))?;
+    let (pair, _) = StereoPair::new(read(left)?, read(right)?, TiltPair { left_rad, right_rad }, 0.0)
+        .map_err(|error| wrong(error.to_string()))?;
+    Ok((truth, pair))
+}
+
+/// Lines of a view on a grid; none where nothing is labelled.
+fn labelled(truth: &Truth, view: &TrueView, map: &Similarity2, shape: (usize, usize)) -> Option<Array2<f32>> {
+    (!view.curves.is_empty()).then(|| mapped_lines(truth, view, map, shape))
 }
 
 /// 255, 128, 0 as a line, not known, none.

@@ -175,3 +175,41 @@ fn impossible_settings_are_named() {
     let nothing = DataSettings { families: Vec::new(), ..small() };
     assert!(Source::new(&nothing, Task::Detector, 0, Split::Train).is_err());
 }
+
+/// The square that dense matchers are scored on is the example itself: disparities as they are, dots where they were.
+#[test]
+fn the_middle_of_an_example_is_not_changed() {
+    let (example, dots) = dots();
+    let crop = Crop::middle(&example);
+    assert_eq!(crop.disparity.dim(), (128, 128));
+    for ([x, y], d) in dots {
+        let [x, y] = [x - 16.0, y - 16.0];
+        assert!((f64::from(crop.disparity[[y as usize, x as usize]]) - d).abs() < 1e-5);
+        let [found, row] = brightest(&crop.images[1], [x + d, y]);
+        assert!((found - x - d).abs() < 0.3 && (row - y).abs() < 0.3, "{found} {row}");
+    }
+}
+
+/// Images that nothing can be matched in teach a detector, and no matcher.
+#[test]
+fn pairs_that_cannot_be_rectified_teach_detectors_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut plan = tiltline::figures::low_contrast::foils(96);
+    plan.items.truncate(1);
+    // So few photons that the pair has no point in common.
+    for settings in plan.settings.values_mut() {
+        settings.acquisition.dose = [2.0, 2.0];
+        settings.visible_above_noise = 0.0;
+    }
+    let data = folder.path().join("data");
+    let lines = tiltline::simulate::Lines::Random;
+    let (set, _) = tiltline::dataset::make(&plan, lines, &data, &|_, _| true).unwrap();
+    assert!(whole(&set, &set.manifest.items[0]).unwrap().is_none());
+    let settings =
+        DataSettings { folders: vec![data], families: Vec::new(), crop_px: 64, batch: 1, ..DataSettings::default() };
+    let source = |task| Source::new(&settings, task, 1, Split::Train).unwrap();
+    let batch = source(Task::Detector).batch(0).unwrap();
+    assert!(batch.left.iter().all(|value| value.is_finite()));
+    let error = source(Task::Matcher).batch(0).unwrap_err().to_string();
+    assert!(error.contains("rectified"), "{error}");
+}

@@ -174,6 +174,12 @@ impl Series {
         Ok(self)
     }
 
+    /// The series of some of its views only (by their places in [`Series::views`], in the order they are given): as if the others
+    /// had not been taken.
+    pub fn part(&self, chosen: &[usize]) -> Self {
+        Self { views: chosen.iter().map(|view| self.views[*view].clone()).collect(), ..self.clone() }
+    }
+
     /// Tilts in degrees, ascending.
     pub fn tilts_deg(&self) -> Vec<f64> {
         self.views.iter().map(|view| view.tilt_deg).collect()

@@ -150,6 +150,12 @@ impl<'a> KnownSeries<'a> {
         }))
     }
 
+    /// Where a point of the specimen (unit and frame of the truth) lies in a tomogram: column, row and layer, voxel centres at integers.
+    pub fn voxel(&self, geometry: &Geometry, point: &Point3) -> [f64; 3] {
+        let px = point * self.px_per_unit;
+        [px.x + geometry.axis_column, px.y + 0.5 * (self.shape[0] as f64 - 1.0), px.z + geometry.middle_layer()]
+    }
+
     /// From px about the axis and the first row to the unit of the truth about the specimen's origin.
     fn in_truth_frame(&self, mut curve: VolumeCurve) -> VolumeCurve {
         let middle = Vector3::new(0.0, 0.5 * (self.shape[0] as f64 - 1.0), 0.0);

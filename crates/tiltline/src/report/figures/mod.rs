@@ -7,7 +7,7 @@ mod charts;
 mod images;
 mod projections;
 mod series;
-mod svg;
+pub(crate) mod svg;
 
 use crate::report::Report;
 

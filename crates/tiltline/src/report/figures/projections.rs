@@ -6,6 +6,8 @@ use crate::report::{Report, ReportCurve};
 
 const LEFT: f64 = 46.0;
 const GAP: f64 = 56.0;
+/// Least width of the colour bar with its words.
+const BAR: f64 = 130.0;
 /// Share of the depths that a panel must show at each end.
 const TAIL: f64 = 0.002;
 
@@ -30,7 +32,9 @@ pub fn draw(report: &Report) -> String {
     let beam = Plot { at: [LEFT, top], size: [width, height], x, y };
     let side = Plot { at: [LEFT + width + GAP, top], size: [depth, height], x: z, y };
     let edge = Plot { at: [LEFT, top + height + 52.0], size: [width, depth], x, y: z };
-    let mut svg = Svg::new(edge.at[1] + depth + 34.0);
+    let room = WIDTH - side.at[0] - 12.0;
+    let below = if room < BAR { 40.0 } else { 0.0 };
+    let mut svg = Svg::new(edge.at[1] + depth + 34.0 + below);
     let scale = DepthScale::new(report);
     if let Some(foil) = report.measures.foil.known() {
         let surfaces = foil.surfaces;
@@ -72,9 +76,18 @@ pub fn draw(report: &Report) -> String {
         let axis = |axis: usize| format!("{} ({unit})", ["x", "y", "z"][axis]);
         plot.axes(&mut svg, &axis(across), &axis(down));
     }
-    let bar_left = LEFT + width + GAP;
-    scale.draw(&mut svg, [LEFT + width + GAP, edge.at[1] + 6.0], (WIDTH - bar_left - 12.0).max(60.0), report);
+    let (bar, width) = bar_place(room, &edge, &side);
+    scale.draw(&mut svg, bar, width, report);
     svg.finish(&title(report))
+}
+
+/// The colour bar's corner and width: right of the edge-on view, or below it where the foil is so thin that there is no room.
+fn bar_place(room: f64, edge: &Plot, side: &Plot) -> ([f64; 2], f64) {
+    if room < BAR {
+        ([LEFT, edge.at[1] + edge.size[1] + 40.0], 1.5 * BAR)
+    } else {
+        ([side.at[0], edge.at[1] + 6.0], room)
+    }
 }
 
 /// Depths of nearly all points and of both surfaces, with some room.

@@ -253,7 +253,11 @@ impl Plot {
             "<rect x=\"{left:.2}\" y=\"{top:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" fill=\"none\" stroke=\"{INK}\" \
              stroke-width=\"0.5\"/>"
         ));
-        for (value, text) in ticks(self.x[0].min(self.x[1]), self.x[0].max(self.x[1])) {
+        let found = ticks(self.x[0].min(self.x[1]), self.x[0].max(self.x[1]));
+        // No more numbers than there is room for; zero stays.
+        let step = (TICK_ROOM * found.len() as f64 / width).ceil().max(1.0) as usize;
+        let zero = found.iter().position(|(value, _)| *value == 0.0).unwrap_or(0);
+        for (value, text) in found.into_iter().skip(zero % step).step_by(step) {
             let [x, _] = self.place(value, self.y[0]);
             svg.line([x, top + height], [x, top + height + 2.5], INK, 0.5);
             svg.text([x, top + height + 3.5 + FONT], Anchor::Middle, &text);
