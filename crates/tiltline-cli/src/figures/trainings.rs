@@ -172,7 +172,9 @@ fn low_contrast_files(work: &Work<'_>) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = Vec::new();
     let mut states = Vec::new();
     for (index, name) in STATES.into_iter().enumerate() {
-        let folder = ["", "low-contrast-without", "low-contrast-with"][index];
+        // Other foils are another training.
+        let of_foils = format!("low-contrast-with-{}", foils.manifest.content_hash().get(..12).unwrap_or_default());
+        let folder = if index == 2 { of_foils.as_str() } else { "low-contrast-without" };
         let extra = (index == 2).then_some(foils.folder.as_path());
         let (weights, training) = if index == 0 {
             (shipped.clone(), None)
