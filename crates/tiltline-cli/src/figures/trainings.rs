@@ -259,9 +259,11 @@ pub fn low_contrast(work: &Work<'_>) -> Result<Made> {
     let caption = format!(
         "(a) An image of low contrast and (b) its true lines (grey: hidden in noise). (d) Line probability as the detector is shipped; (e) after {steps} more \
          steps of its usual training, (f) after as many with (c), one labelled pair of low contrast of another foil, as half of the examples ({} minutes on two \
-         cores). (e) tells what the steps do from what the image does, which the paper's figure does not. Scores are those of pixels at probability 0.5, \
-         over {} images of low contrast that are not trained on, and over the left images of `{}`. Record: `records/{LOW_CONTRAST}` (version {}).",
+         cores). (e) tells what the steps do from what the image does, which the paper's figure does not. {} Scores are \
+         those of pixels, found from the probability on from which tracing takes them for line ({}), over {} images of low contrast that are not trained on, and over the left images of `{}`. Record: `records/{LOW_CONTRAST}` (version {}).",
         minutes.join(" and "),
+        low_contrast::verdict(&record),
+        work.config.settings.trace.low,
         looked_at.len(),
         record.others,
         record.version
