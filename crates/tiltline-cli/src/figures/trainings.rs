@@ -172,7 +172,9 @@ fn low_contrast_files(work: &Work<'_>) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = Vec::new();
     let mut states = Vec::new();
     for (index, name) in STATES.into_iter().enumerate() {
-        let folder = ["", "low-contrast-without", "low-contrast-with"][index];
+        // Other foils are another training.
+        let of_foils = format!("low-contrast-with-{}", foils.manifest.content_hash().get(..12).unwrap_or_default());
+        let folder = if index == 2 { of_foils.as_str() } else { "low-contrast-without" };
         let extra = (index == 2).then_some(foils.folder.as_path());
         let (weights, training) = if index == 0 {
             (shipped.clone(), None)
@@ -257,9 +259,11 @@ pub fn low_contrast(work: &Work<'_>) -> Result<Made> {
     let caption = format!(
         "(a) An image of low contrast and (b) its true lines (grey: hidden in noise). (d) Line probability as the detector is shipped; (e) after {steps} more \
          steps of its usual training, (f) after as many with (c), one labelled pair of low contrast of another foil, as half of the examples ({} minutes on two \
-         cores). (e) tells what the steps do from what the image does, which the paper's figure does not. Scores are those of pixels at probability 0.5, \
-         over {} images of low contrast that are not trained on, and over the left images of `{}`. Record: `records/{LOW_CONTRAST}` (version {}).",
+         cores). (e) tells what the steps do from what the image does, which the paper's figure does not. {} Scores are \
+         those of pixels, found from the probability on from which tracing takes them for line ({}), over {} images of low contrast that are not trained on, and over the left images of `{}`. Record: `records/{LOW_CONTRAST}` (version {}).",
         minutes.join(" and "),
+        low_contrast::verdict(&record),
+        work.config.settings.trace.low,
         looked_at.len(),
         record.others,
         record.version

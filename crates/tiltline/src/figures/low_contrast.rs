@@ -10,13 +10,12 @@ use super::pool::{pooled, with_interval};
 use crate::dataset::{Item, Manifest};
 use crate::simulate::geometry::{Range, Split};
 use crate::simulate::{Family, SimulateSettings};
+use crate::trace::TraceSettings;
 
 /// Seed of the foils.
 const SEED: u64 = 12;
 /// Foils that are looked at; one more is trained on.
 const LOOKED_AT: u32 = 6;
-/// A pixel is found from this probability on.
-const FOUND: f32 = 0.5;
 
 /// States of the detector, with their words.
 pub const STATES: [&str; 3] = ["as shipped", "trained further without the image", "trained further with the image"];
@@ -64,10 +63,13 @@ pub struct PixelScore {
 impl PixelScore {
     /// The score of line probabilities `[row, column]`; `mask` is 255 on visible lines, 0 off all lines, and between where lines do
     /// not stand out, which is not asked for.
+    ///
+    /// A pixel is found from the probability on from which tracing takes it for part of a line.
     pub fn of(item: &str, probability: &Array2<f32>, mask: &Array2<u8>) -> Self {
+        let least = TraceSettings::default().low;
         let mut score = Self { item: item.into(), right: 0, found: 0, lines: 0 };
         for (probability, line) in probability.iter().zip(mask).filter(|(_, line)| matches!(line, 0 | 255)) {
-            let (found, line) = (*probability >= FOUND, *line == 255);
+            let (found, line) = (*probability >= least, *line == 255);
             score.found += usize::from(found);
             score.lines += usize::from(line);
             score.right += usize::from(found && line);
@@ -128,4 +130,19 @@ pub fn table(record: &Record) -> String {
         }
     }
     text
+}
+
+/// What the image does beyond the steps that it is trained in, in a sentence.
+pub fn verdict(record: &Record) -> String {
+    let [shipped, without, with] = &record.states[..] else { return String::new() };
+    let f1 = |scores: &[PixelScore]| {
+        let sum = |value: fn(&PixelScore) -> usize| scores.iter().map(value).sum::<usize>() as f64;
+        2.0 * sum(|score| score.right) / (sum(|score| score.found) + sum(|score| score.lines)).max(1.0)
+    };
+    let [shipped, without, with] = [shipped, without, with].map(|state| f1(&state.low_contrast));
+    let word = if with > without { "adds to" } else { "adds nothing to" };
+    format!(
+        "On images of low contrast F1 is {shipped:.3} as shipped, {without:.3} without the image and {with:.3} with it: here the image {word} what the \
+         further steps do."
+    )
 }

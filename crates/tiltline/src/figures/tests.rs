@@ -168,6 +168,29 @@ fn tables_have_the_papers_figures_beside_ours() {
     assert!(losses::budget(&record).starts_with("4 steps each"));
 }
 
+#[test]
+fn the_verdict_on_figure_12_is_about_the_image_and_not_the_steps() {
+    let state = |right: usize| low_contrast::State {
+        name: String::new(),
+        weights_sha256: String::new(),
+        settings: None,
+        steps: 1,
+        seconds: 0.0,
+        curve: Vec::new(),
+        low_contrast: vec![PixelScore { item: "a".into(), right, found: 10, lines: 10 }],
+        others: Vec::new(),
+    };
+    let record = |rights: [usize; 3]| low_contrast::Record {
+        version: "0".into(),
+        data_sha256: String::new(),
+        others: "set".into(),
+        states: rights.map(state).into(),
+    };
+    assert!(low_contrast::verdict(&record([2, 4, 6])).contains("0.600 with it: here the image adds to"));
+    // Better than as shipped, but so are the steps alone.
+    assert!(low_contrast::verdict(&record([2, 6, 5])).contains("adds nothing to"));
+}
+
 fn row(way: Way, views: usize, f_score: f64) -> Row {
     Row {
         series: "s".into(),
