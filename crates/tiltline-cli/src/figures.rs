@@ -12,7 +12,7 @@ mod trainings;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use miette::{IntoDiagnostic, Result};
+use miette::{IntoDiagnostic, Result, miette};
 use tiltline::dataset::{Dataset, Manifest};
 use tiltline::figures::page::{self, Provenance, Section};
 use tiltline::simulate::Lines;
@@ -28,6 +28,8 @@ use plan::Plan;
 
 /// Name of the page.
 const PAGE: &str = "README.md";
+/// Stands in a page of a quick run.
+const SMALL: &str = "**Made with --small: these figures mean nothing.**\n";
 
 /// Flags of `tiltline figures`.
 #[derive(Debug, Args)]
@@ -77,8 +79,12 @@ pub fn run(flags: &Figures) -> Result<()> {
     std::fs::create_dir_all(&folder).into_diagnostic()?;
     let plan = if flags.small { Plan::small() } else { Plan::published()? };
     let config = Config::default();
+    may_write(flags)?;
     let stages = Stages::new(&config.method, &config.settings, None)?;
-    let cache = Cache::new(&folder.join("measured"), &stages.names)?;
+    // What is measured depends on the settings too; of changed code a new version tells.
+    let settings = toml::to_string(&config.settings).into_diagnostic()?;
+    let [detector, matcher] = &stages.names;
+    let cache = Cache::new(&folder.join("measured"), [detector, matcher, &settings])?;
     let work = Work { flags, plan, folder, cache, config, stages };
     if flags.retrain {
         trainings::retrain(&work)?;
@@ -101,7 +107,7 @@ pub fn run(flags: &Figures) -> Result<()> {
     });
     let provenance =
         Provenance { version: env!("CARGO_PKG_VERSION").into(), method: work.stages.names.clone(), sets: sets.into() };
-    let notes = if flags.small { "**Made with --small: these figures mean nothing.**\n" } else { "" };
+    let notes = if flags.small { SMALL } else { "" };
     let sections: Vec<Section> = made.iter().map(|made| made.section.clone()).collect();
     let page = page::write(&provenance, notes, &sections);
     let mut files: Vec<(String, Vec<u8>)> = made.into_iter().flat_map(|made| made.files).collect();
@@ -109,6 +115,19 @@ pub fn run(flags: &Figures) -> Result<()> {
     files.push((PAGE.into(), page.into_bytes()));
     write(&flags.output, &files)?;
     output::print(&format!("{} tables and figures in {}\n", sections.len(), flags.output.join(PAGE).display()))
+}
+
+/// Refuses to write over a page that is not this command's, or over figures that mean something with such as do not.
+fn may_write(flags: &Figures) -> Result<()> {
+    let path = flags.output.join(PAGE);
+    let Ok(there) = std::fs::read_to_string(&path) else { return Ok(()) };
+    if !there.starts_with(page::TITLE) {
+        return Err(miette!("{} is not a page of `tiltline figures`; name another folder", path.display()));
+    }
+    if flags.small && !there.contains(SMALL) {
+        return Err(miette!("{} is of the whole benchmark: name another folder for --small", path.display()));
+    }
+    Ok(())
 }
 
 /// Files into a folder: all or none.

@@ -42,6 +42,11 @@ pub fn ask_to_stop() -> &'static AtomicBool {
     &ASKED
 }
 
+/// The first signal ends the program again.
+pub fn stop_at_once() {
+    STOPS.store(false, Ordering::Relaxed);
+}
+
 /// Exit code of an interrupted run, as shells expect it (128 + SIGINT).
 pub const INTERRUPTED: i32 = 130;
 /// Writers that are still at work may add a file while the folder is being removed.

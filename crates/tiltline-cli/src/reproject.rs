@@ -91,14 +91,17 @@ pub fn run(flags: &Reproject) -> Result<()> {
     };
     let count = Count::new("finding lines", flags.verbosity);
     let mut done = 0;
+    // A pose is looked for from its neighbour's: those between are needed too, and the alignment must not depend on what is shown.
+    let all: Vec<usize> = (0..series.views.len()).collect();
     let mut lines_of = |view: usize| {
-        count.show(done, views.len());
+        count.show(done, all.len());
         done += 1;
         Ok(detect_lines(&series.view(view)?, &*stages.detector, &config.settings.trace))
     };
-    let found = reproject(&curves, &series, &aligned, &views, &mut lines_of).into_diagnostic();
+    let found = reproject(&curves, &series, &aligned, &all, &mut lines_of).into_diagnostic();
     count.clear();
     let mut found = found?;
+    found.views.retain(|view| views.contains(&view.view));
     let mut warnings = series.warnings.clone();
     warnings.extend(aligned.warnings.iter().cloned());
     warnings.append(&mut found.warnings);

@@ -48,4 +48,11 @@ fn a_small_run_makes_every_table_and_figure_and_is_taken_up() {
     figures(&output, &[]).success();
     assert_eq!(fs::read_to_string(output.join("README.md")).unwrap(), page);
     assert_eq!(fs::metadata(output.join("records/losses.json")).unwrap().modified().unwrap(), before);
+    // Measured anew, the figures are the same; a page of something else is not written over.
+    let work = folder.path().join("work");
+    figures(&output, &["--work", work.to_str().unwrap()]).success();
+    assert_eq!(fs::read_to_string(output.join("README.md")).unwrap(), page);
+    fs::write(output.join("README.md"), "# Mine\n").unwrap();
+    figures(&output, &[]).failure();
+    assert_eq!(fs::read_to_string(output.join("README.md")).unwrap(), "# Mine\n");
 }

@@ -11,7 +11,7 @@ use tiltline::temporary;
 /// A folder of measurements.
 pub struct Cache {
     folder: PathBuf,
-    /// What every measurement depends on: version, detector, matcher.
+    /// What every measurement depends on: version, detector, matcher, settings.
     method: Vec<String>,
 }
 
@@ -23,11 +23,10 @@ struct Entry<T> {
 }
 
 impl Cache {
-    /// The measurements in a folder, which is made.
-    pub fn new(folder: &Path, stages: &[String; 2]) -> Result<Self> {
+    /// The measurements in a folder, which is made; `method` is the detector, the matcher and the settings.
+    pub fn new(folder: &Path, [detector, matcher, settings]: [&str; 3]) -> Result<Self> {
         std::fs::create_dir_all(folder).into_diagnostic()?;
-        let mut method = vec![env!("CARGO_PKG_VERSION").to_owned()];
-        method.extend(stages.iter().cloned());
+        let method = [env!("CARGO_PKG_VERSION"), detector, matcher, settings].map(str::to_owned).into();
         Ok(Self { folder: folder.into(), method })
     }
 

@@ -309,10 +309,12 @@ fn reprojected(foil: &Foil<'_>, loaded: &Loaded, mut views: [usize; 4]) -> Resul
         shown.push((view, loaded.series.view(view.view).into_diagnostic()?));
         words.push(match &view.distances {
             Some(distances) => format!(
-                "{:+} degrees: median {:.1} px, {:.0} % within 5 px{}",
+                "{:+} degrees: median {:.1} px, {:.0} % within 2 px and {:.0} % within 5 px ({:.0} % within 3 px would be by chance){}",
                 view.tilt_deg,
                 distances.median_px,
+                100.0 * distances.within_2px,
                 100.0 * distances.within_5px,
+                100.0 * distances.chance_within_3px,
                 if view.supported { "" } else { ", pose not supported" }
             ),
             None => format!("{:+} degrees: no lines", view.tilt_deg),
@@ -323,7 +325,7 @@ fn reprojected(foil: &Foil<'_>, loaded: &Loaded, mut views: [usize; 4]) -> Resul
     let [left, right] = item.pair.map(|view| loaded.series.views[view].tilt_deg);
     let caption = format!(
         "Curves of the pair at {left:+} and {right:+} degrees, re-projected (green) into views that they were not made from; below, the true lines \
-         there (grey: hidden in noise). Distance of re-projected points to the nearest detected line: {}. The paper's views are at -44, -6.39, +8 and \
+         there (grey: hidden in noise). Each view's shift, turn and magnification are fitted to its lines first. Distance of re-projected points to the nearest detected line: {}. The paper's views are at -44, -6.39, +8 and \
          +44 degrees, its pair is 8 degrees apart too.",
         words.join("; ")
     );

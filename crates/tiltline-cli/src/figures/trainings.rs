@@ -51,7 +51,10 @@ pub fn retrain(work: &Work<'_>) -> Result<()> {
     let mut files = vec![(LOSSES.to_owned(), json(&loss_record(work)?)?)];
     files.extend(low_contrast_files(work)?);
     std::fs::create_dir_all(records(work)).into_diagnostic()?;
-    super::write(&records(work), &files)
+    super::write(&records(work), &files)?;
+    interrupt::stop_at_once();
+    // Trained once more, they begin from nothing.
+    std::fs::remove_dir_all(work.folder.join("trainings")).into_diagnostic()
 }
 
 fn training(work: &Work<'_>, name: &str, settings: TrainSettings, from: &Named) -> Result<Trained> {
@@ -122,11 +125,14 @@ pub fn losses(work: &Work<'_>) -> Result<Made> {
     let caption = format!(
         "The shipped matcher's network, trained from random weights with the paper's losses only, on mixed simulated pairs of the training split; weights \
          of the terms are 1 (disparity), 1 (warp), 0.1 (variance). {} Scored on `{}` (SHA-256 {}): disparities of the dense matcher alone at all true \
-         line pixels, no refinement, no free offset. The last row of each family is the matcher that is part of the program (more steps, cross-entropy \
+         line pixels, no refinement, no free offset; {} of the set's {} pairs, the rest cannot be rectified. Intervals of all terms overlap: so few steps do \
+         not separate them. The last row of each family is the matcher that is part of the program (more steps, cross-entropy \
          instead of variance and warp). Record: `records/{LOSSES}` (version {}).",
         losses::budget(&record),
         record.set,
         record.data_sha256.get(..16).unwrap_or_default(),
+        record.shipped.len(),
+        work.plan.pairs.items.len(),
         record.version
     );
     Ok(Made { section: Section { heading, caption, body: losses::table(&record) }, files: Vec::new() })
@@ -258,8 +264,8 @@ pub fn low_contrast(work: &Work<'_>) -> Result<Made> {
         record.states.iter().skip(1).map(|state| format!("{:.1}", state.seconds / 60.0)).collect();
     let caption = format!(
         "(a) An image of low contrast and (b) its true lines (grey: hidden in noise). (d) Line probability as the detector is shipped; (e) after {steps} more \
-         steps of its usual training, (f) after as many with (c), one labelled pair of low contrast of another foil, as half of the examples ({} minutes on two \
-         cores). (e) tells what the steps do from what the image does, which the paper's figure does not. {} Scores are \
+         steps of its usual training, (f) after as many with (c), one labelled pair of low contrast of another foil, in place of half of the usual examples ({} minutes of wall \
+         time). (e) tells what the steps do from what the image does, which the paper's figure does not. {} Scores are \
          those of pixels, found from the probability on from which tracing takes them for line ({}), over {} images of low contrast that are not trained on, and over the left images of `{}`. Record: `records/{LOW_CONTRAST}` (version {}).",
         minutes.join(" and "),
         low_contrast::verdict(&record),

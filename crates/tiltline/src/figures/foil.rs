@@ -64,7 +64,10 @@ pub fn detection(image: &Micrograph, probability: &Array2<f32>, truth: &Truth, v
 pub fn probability_canvas(probability: &Array2<f32>, size: Size) -> Canvas {
     let mut canvas = drawn(probability, size, &[], STROKE);
     // `drawn` keeps the ends of the grey scale for lines.
-    canvas.pixels.iter_mut().for_each(|value| *value = 255 - ((u16::from(*value) - 15) * 255 / 195).min(255) as u8);
+    canvas
+        .pixels
+        .iter_mut()
+        .for_each(|value| *value = 255 - (u16::from(*value).saturating_sub(15) * 255 / 195).min(255) as u8);
     canvas
 }
 

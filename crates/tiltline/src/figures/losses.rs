@@ -169,7 +169,7 @@ pub fn budget(record: &Record) -> String {
         })
         .collect();
     format!(
-        "{} steps each, from the same random weights and the same batches ({} minutes on two cores that did other work too). EPE of the last \
+        "{} steps each, from the same random weights and the same batches ({} minutes of wall time). EPE of the last \
          training crops, px: {}.",
         first.steps,
         minutes.join(", "),

@@ -2,6 +2,9 @@
 
 use std::fmt::Write;
 
+/// First line of the page.
+pub const TITLE: &str = "# The paper's tables and figures on this project's benchmark";
+
 /// A table or figure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Section {
@@ -33,7 +36,7 @@ pub fn picture(name: &str, words: &str) -> String {
 pub fn write(provenance: &Provenance, notes: &str, sections: &[Section]) -> String {
     let Provenance { version, method: [detector, matcher], sets } = provenance;
     let mut page = format!(
-        "# The paper's tables and figures on this project's benchmark\n\n\
+        "{TITLE}\n\n\
          Made by `tiltline figures` (version {version}; {detector} detector, {matcher} matcher, default settings) from the sets below, whose \
          images are simulated and whose truth is exact; nothing is trained on the sets that are scored. Figures 1 to 3 of the paper are schematic. \
          Figures in square brackets are the paper's own, of its own images and hand labels: they show what was expected, and cannot be \

@@ -319,32 +319,42 @@ fn table(rows: &[Row], name: Option<&str>) -> String {
     text
 }
 
-/// Where the fit of all views beats another way (F-score, pooled), in a sentence; none where nothing was compared.
+/// Where the fit of all views beats another way (F-score, pooled, and on how many of the series), in a sentence; none where nothing
+/// was compared. Two views of stereo are held against every number of views.
 pub fn verdict(rows: &[Row], other: Way) -> Option<String> {
-    let f = |way: Way, count: usize| {
-        let found = of(rows, way, count, None);
-        (!found.is_empty()).then(|| pool(&found).f_score)
+    let views = |count: usize| if other == Way::Stereo { 2 } else { count };
+    let wins = |count: usize, name: Option<&str>| {
+        let f = |way: Way, count: usize| {
+            let found = of(rows, way, count, name);
+            (!found.is_empty()).then(|| pool(&found).f_score)
+        };
+        Some(f(Way::AllViews, count)? > f(other, views(count))?)
     };
-    let compared: Vec<(usize, bool)> = counts(rows)
+    let names = series(rows);
+    let compared: Vec<(bool, String)> = counts(rows)
         .into_iter()
         .filter(|count| *count > 2)
-        .filter_map(|count| Some((count, f(Way::AllViews, count)? > f(other, count)?)))
+        .filter_map(|count| {
+            let each: Vec<bool> = names.iter().filter_map(|name| wins(count, Some(name))).collect();
+            let won = each.iter().filter(|won| **won).count();
+            Some((wins(count, None)?, format!("{count} ({won} of {} series)", each.len())))
+        })
         .collect();
     let list = |better: bool| {
-        let counts: Vec<String> = compared.iter().filter(|row| row.1 == better).map(|row| row.0.to_string()).collect();
+        let counts: Vec<&str> = compared.iter().filter(|row| row.0 == better).map(|row| row.1.as_str()).collect();
         counts.join(", ")
     };
     let name = other.word();
     match (compared.is_empty(), list(true).as_str(), list(false).as_str()) {
         (true, ..) => None,
-        (_, counts, "") => {
-            Some(format!("The fit of all views has a higher F-score than {name} at every number of views ({counts})."))
-        }
-        (_, "", counts) => {
-            Some(format!("The fit of all views has a lower F-score than {name} at every number of views ({counts})."))
-        }
+        (_, counts, "") => Some(format!(
+            "Pooled, the fit of all views has a higher F-score than {name} at every number of views: {counts}."
+        )),
+        (_, "", counts) => Some(format!(
+            "Pooled, the fit of all views has a lower F-score than {name} at every number of views: {counts}."
+        )),
         (_, better, worse) => Some(format!(
-            "The fit of all views has a higher F-score than {name} at {better} views, and a lower one at {worse}."
+            "Pooled, the fit of all views has a higher F-score than {name} at {better} views, and a lower one at {worse}."
         )),
     }
 }
