@@ -21,11 +21,14 @@ use crate::triangulate::triangulate;
 use crate::warning::Warning;
 
 /// Curves found in a smaller share of the places of other views are wrong matches, and are taken out: on eight simulated series of ten
-/// views 0.14 of the length below this share lay on visible true lines, and 0.50 of the length above it.
+/// views 0.14 of the length below this share lay on visible true lines, and 0.50 of the length above it. Where the detector finds
+/// little in any view, less is asked: so much of the usual share, the median over the length of the pair's curves.
 const LEAST_SUPPORT: f64 = 0.4;
-/// Curves that the pair did not show must be found in this share: in those series only a tenth of what other pairs added was true,
-/// and a third of it lay on lines that the pair does not show.
+const LEAST_OF_USUAL: f64 = 0.6;
+/// Curves that the pair did not show must be found in this share, or in so much of the usual one: in those series only a tenth of
+/// what other pairs added was true, and a third of it lay on lines that the pair does not show.
 const LEAST_SUPPORT_OF_NEW: f64 = 0.8;
+const LEAST_OF_USUAL_OF_NEW: f64 = 1.2;
 /// So many views beside the pair are needed to say so.
 const LEAST_OTHERS: usize = 3;
 /// Points on lines of so many views are measured.
@@ -144,7 +147,8 @@ fn in_pair_form(
     result.lines = View::BOTH.map(|view| detector.detect(&result.rectified, view));
     result.traces = [0, 1].map(|view| trace(&result.lines[view], &settings.trace));
 
-    let (kept, out) = kept(grown, result.matched.len());
+    let least = least_support(&grown.curves, result.matched.len());
+    let (kept, out) = kept(grown, result.matched.len(), least);
     let depth_gain = tilts.depth_gain().abs();
     let in_left = |point: &Point3| project_at_tilt(point, left.tilt_rad) + grid.shift;
     let in_right = |point: &Point3| project_at_tilt(point, right.tilt_rad) + grid.shift;
@@ -185,20 +189,36 @@ fn in_pair_form(
     result.warnings.retain(|warning| warning.stage != Stage::Measure);
     result.warnings.extend(doubts);
     let out = out.iter().filter(|index| **index < of_pair).count();
-    result.warnings.extend(warnings(grown, series, [out, added, of_pair]));
+    result.warnings.extend(warnings(grown, series, [out, added, of_pair], least[0]));
     result
 }
 
+/// The share of its places in other views in which a curve must be found: one of the pair, and one of another pair.
+fn least_support(curves: &[FittedCurve], of_pair: usize) -> [f64; 2] {
+    let mut shares: Vec<(f64, usize)> =
+        curves[..of_pair].iter().map(|curve| (curve.support, curve.points.len())).collect();
+    shares.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = shares.iter().map(|share| share.1).sum::<usize>() / 2;
+    let mut passed = 0;
+    let usual = shares.iter().find(|(_, length)| {
+        passed += length;
+        passed > half
+    });
+    let usual = usual.map_or(1.0, |share| share.0);
+    [LEAST_SUPPORT.min(LEAST_OF_USUAL * usual), LEAST_SUPPORT_OF_NEW.min(LEAST_OF_USUAL_OF_NEW * usual)]
+}
+
 /// Curves that other views support, and those that they do not; the first `of_pair` are those of the pair.
-fn kept(grown: &Grown, of_pair: usize) -> (Vec<usize>, Vec<usize>) {
+fn kept(grown: &Grown, of_pair: usize, least: [f64; 2]) -> (Vec<usize>, Vec<usize>) {
     let others = grown.views.len() - 2;
-    let least = |index: usize| if index < of_pair { LEAST_SUPPORT } else { LEAST_SUPPORT_OF_NEW };
-    let supported =
-        |index: &usize| (others < LEAST_OTHERS && *index < of_pair) || grown.curves[*index].support >= least(*index);
+    let supported = |index: &usize| {
+        let is_new = *index >= of_pair;
+        (others < LEAST_OTHERS && !is_new) || grown.curves[*index].support >= least[usize::from(is_new)]
+    };
     (0..grown.curves.len()).partition(supported)
 }
 
-fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3]) -> Vec<Warning> {
+fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3], least: f64) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if !grown.left_out.is_empty() {
         let mut tilts: Vec<f64> = grown.left_out.iter().map(|view| series.views[*view].tilt_deg).collect();
@@ -223,7 +243,7 @@ fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3]) -
              line (lines.csv has their lines)",
             out,
             of_pair,
-            100.0 * LEAST_SUPPORT
+            100.0 * least
         );
         warnings.push(Warning::new(Stage::Refine, message));
     }
@@ -270,4 +290,26 @@ fn at_junction(end: TraceEnd, place: &Point2, graph: &TraceGraph) -> TraceEnd {
     let distance = |junction: usize| (graph.junctions[junction] - place).norm();
     let nearest = (0..graph.junctions.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
     nearest.filter(|junction| distance(*junction) <= JUNCTION_PX).map_or(TraceEnd::Free, TraceEnd::Junction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve(support: f64, points: usize) -> FittedCurve {
+        let points = vec![Point3::origin(); points];
+        FittedCurve { sigma_z: vec![1.0; points.len()], seen: vec![2; points.len()], points, closed: false, support }
+    }
+
+    /// Where lines are found in nearly every view a curve without support is a wrong match; where they are found in every third view
+    /// only, it is one with less than most have.
+    #[test]
+    fn support_is_held_against_what_is_usual() {
+        let well_found = [curve(0.9, 100), curve(0.3, 20), curve(0.85, 60), curve(0.7, 50)];
+        assert_eq!(least_support(&well_found, 3), [LEAST_SUPPORT, LEAST_SUPPORT_OF_NEW]);
+        let badly_found = [curve(0.3, 100), curve(0.1, 20), curve(0.4, 60)];
+        let [of_pair, of_new] = least_support(&badly_found, 3);
+        assert!((of_pair - 0.18).abs() < 1e-12 && (of_new - 0.36).abs() < 1e-12, "{of_pair} {of_new}");
+        assert_eq!(least_support(&[], 0), [LEAST_SUPPORT, LEAST_SUPPORT_OF_NEW]);
+    }
 }
