@@ -18,7 +18,7 @@ const PICTURE_PX: usize = 448;
 /// Tilts that differ by less are the same view's, degrees.
 const SAME_TILT_DEG: f64 = 0.005;
 /// Views that are pictured where none are named.
-pub const PICTURES: usize = 8;
+const PICTURES: usize = 8;
 
 /// A series in the report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

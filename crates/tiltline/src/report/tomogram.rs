@@ -60,7 +60,7 @@ impl ReportTomogram {
             curve.points.iter().chain(closing).map(place).collect()
         });
         let along_px = REACH_PX * curves.tilts.depth_gain().abs();
-        let Some((comparison, _)) = compare(volume, geometry, &lines.collect::<Vec<_>>(), along_px) else {
+        let Some(comparison) = compare(volume, geometry, &lines.collect::<Vec<_>>(), along_px) else {
             return Ok(None);
         };
         let (above, above_step) = picture(volume, Axis(0))?;

@@ -10,7 +10,7 @@ use rstar::primitives::GeomWithData;
 use serde::{Deserialize, Serialize};
 
 use super::Geometry;
-use super::curves::{CurveSettings, VolumeCurve, curves};
+use super::curves::{CurveSettings, curves};
 use crate::geometry::Point3;
 
 /// Reach of a partner across the beam, px; that along it is the same times the depth that a px of disparity means.
@@ -59,12 +59,7 @@ impl Comparison {
 
 /// Compares the curves of a result (px, in the frame of the volume's geometry) with a volume `[z, y, x]`; `along_px` is the reach
 /// along the beam. `None` where the volume has nothing bright. Points of the result outside the volume do not count.
-pub fn compare(
-    volume: &Array3<f32>,
-    geometry: &Geometry,
-    result: &[Vec<Point3>],
-    along_px: f64,
-) -> Option<(Comparison, Vec<VolumeCurve>)> {
+pub fn compare(volume: &Array3<f32>, geometry: &Geometry, result: &[Vec<Point3>], along_px: f64) -> Option<Comparison> {
     let (layers, rows, columns) = volume.dim();
     let inside = |point: &Point3| {
         let (x, z) = (point.x + geometry.axis_column, point.z + geometry.middle_layer());
@@ -76,10 +71,10 @@ pub fn compare(
         .flat_map(|curve| curve.split(|point| !inside(point)).filter(|run| run.len() > 1).map(<[Point3]>::to_vec))
         .collect();
     let reach = [REACH_PX, along_px];
-    let mut best: Option<(Comparison, Vec<VolumeCurve>)> = None;
+    let mut best: Option<Comparison> = None;
     for (share, threshold) in thresholds(volume) {
         let found = curves(volume, geometry, threshold, &CurveSettings::default());
-        let lines: Vec<Vec<Point3>> = found.iter().map(|curve| curve.points.clone()).collect();
+        let lines: Vec<Vec<Point3>> = found.into_iter().map(|curve| curve.points).collect();
         let comparison = Comparison {
             threshold: f64::from(threshold),
             share,
@@ -90,8 +85,8 @@ pub fn compare(
         };
         // Where nothing agrees, one at which there is something to look at.
         let worth = |comparison: &Comparison| (comparison.f_score(), comparison.depth_px.is_some());
-        if best.as_ref().is_none_or(|(best, _)| worth(&comparison) > worth(best)) {
-            best = Some((comparison, found));
+        if best.as_ref().is_none_or(|best| worth(&comparison) > worth(best)) {
+            best = Some(comparison);
         }
     }
     best
@@ -155,11 +150,11 @@ mod tests {
             (-0.5 * (across * across + along * along) / 2.0).exp() as f32
         });
         let line = |off: f64| (4..60).map(|row| Point3::new(0.0, f64::from(row), z(f64::from(row)) + off)).collect();
-        let (agrees, _) = compare(&volume, &geometry, &[line(0.0)], 3.0).unwrap();
+        let agrees = compare(&volume, &geometry, &[line(0.0)], 3.0).unwrap();
         assert!(agrees.result[1] > 0.95 && agrees.tomogram[1] > 0.8, "{agrees:?}");
         let [off, spread] = agrees.depth_px.unwrap();
         assert!(off.abs() < 0.2 && spread < 0.3, "{agrees:?}");
-        let (above, _) = compare(&volume, &geometry, &[line(-6.0)], 3.0).unwrap();
+        let above = compare(&volume, &geometry, &[line(-6.0)], 3.0).unwrap();
         assert_abs_diff_eq!(above.result[1], 0.0);
         // The tomogram's line lies further from the viewer.
         assert!((above.depth_px.unwrap()[0] - 6.0).abs() < 0.3, "{above:?}");

@@ -20,13 +20,12 @@ use crate::trace::trace;
 use crate::triangulate::triangulate;
 use crate::warning::Warning;
 
-/// Curves found in a smaller share of the places of other views are wrong matches, and are taken out: on eight simulated series of ten
-/// views 0.14 of the length below this share lay on visible true lines, and 0.50 of the length above it. Where the detector finds
-/// little in any view, less is asked: so much of the usual share, the median over the length of the pair's curves.
+/// Curves found in a smaller share of the places of other views are wrong matches, and are taken out. Where the detector finds little in
+/// any view, less is asked: so much of the usual share, the median over the length of the pair's curves.
 const LEAST_SUPPORT: f64 = 0.4;
 const LEAST_OF_USUAL: f64 = 0.6;
-/// Curves that the pair did not show must be found in this share, or in so much of the usual one: in those series only a tenth of
-/// what other pairs added was true, and a third of it lay on lines that the pair does not show.
+/// Curves that the pair did not show must be found in this share, or in so much of the usual one: matched on views that the curves
+/// were not made from, far more of them are wrong.
 const LEAST_SUPPORT_OF_NEW: f64 = 0.8;
 const LEAST_OF_USUAL_OF_NEW: f64 = 1.2;
 /// So many views beside the pair are needed to say so.
