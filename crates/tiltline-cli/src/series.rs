@@ -91,7 +91,6 @@ impl Chosen {
             &self.series,
             &aligned,
             &*stages.detector,
-            &*stages.matcher,
             &config.settings,
             &config.settings.series,
             &mut lines_of,

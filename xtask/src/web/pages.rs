@@ -95,7 +95,7 @@ fn series(result: &Reconstruction) -> Result<ReportSeries> {
         for point in traces.traces.iter_mut().flat_map(|trace| &mut trace.points) {
             point.position = map * point.position;
         }
-        let lines = ViewLines { traces, shape: [view.height(), view.width()] };
+        let lines = ViewLines::new(traces, [view.height(), view.width()]);
         ViewPicture::new(view, [-4.0, 4.0][side], pose, &LineIndex::new(lines), &curves)
     });
     let [rows, columns] = result.rectified.rectification.shape;

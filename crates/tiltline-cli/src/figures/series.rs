@@ -136,7 +136,7 @@ impl<'a> Foil<'a> {
                 };
                 self.work.say(&format!("Figure 9: {}, fit of {count} views", self.item.name));
                 let result: Reconstruction =
-                    fit(&of_pair, self.item.pair, series, &chosen, detector, matcher, &config.settings, &mut lines_of)
+                    fit(&of_pair, self.item.pair, series, &chosen, detector, &config.settings, &mut lines_of)
                         .into_diagnostic()?;
                 let result = ResultCurves::from(&result);
                 let row = match count {

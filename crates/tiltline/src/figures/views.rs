@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::FiguresError;
 use super::chart::{Line, Panel, lines};
-use crate::pipeline::{Detect, Match};
+use crate::pipeline::Detect;
 use crate::reconstruction::Reconstruction;
 use crate::score::{PairScore, ResultCurve, ResultCurves, ResultPoint, ScoreSettings, score_pair};
 use crate::series::{Series, SeriesError, ViewLines, align, reconstruct_series};
@@ -213,7 +213,6 @@ pub fn fit(
     series: &Series,
     chosen: &[usize],
     detector: &dyn Detect,
-    matcher: &dyn Match,
     settings: &Settings,
     lines_of: &mut dyn FnMut(usize) -> Result<ViewLines, SeriesError>,
 ) -> Result<Reconstruction, FiguresError> {
@@ -233,7 +232,6 @@ pub fn fit(
         &part,
         &aligned,
         detector,
-        matcher,
         settings,
         &settings.series,
         &mut of_part,

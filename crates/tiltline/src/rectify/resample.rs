@@ -43,7 +43,8 @@ fn grid(low: Point2, high: Point2) -> Grid {
     Grid { shape: [size.y.max(1.0) as usize, size.x.max(1.0) as usize], shift: -low.coords, left_only: false }
 }
 
-fn bounds(shape: [usize; 2], map: &Similarity2) -> (Point2, Point2) {
+/// The box of an image on the other side of a map: its least and largest corner.
+pub fn bounds(shape: [usize; 2], map: &Similarity2) -> (Point2, Point2) {
     let (x, y) = ((shape[1] - 1) as f64, (shape[0] - 1) as f64);
     let corners = [(0.0, 0.0), (x, 0.0), (0.0, y), (x, y)].map(|(x, y)| map * Point2::new(x, y));
     corners.iter().fold((corners[0], corners[0]), |(low, high), corner| (low.inf(corner), high.sup(corner)))

@@ -189,7 +189,7 @@ fn projections_into_the_views_of_the_pair_are_where_the_curves_were_found() {
         let curves = SavedCurves::of(result);
         let maps = [&report.rectification.rectified_from_left, &report.rectification.rectified_from_right];
         for (side, view) in [&result.pair.left, &result.pair.right].into_iter().enumerate() {
-            let lines = LineIndex::new(ViewLines { traces: TraceGraph::default(), shape: [256, 288] });
+            let lines = LineIndex::new(ViewLines::new(TraceGraph::default(), [256, 288]));
             let picture = ViewPicture::new(view, 0.0, &curves.poses[side], &lines, &curves).unwrap();
             assert_eq!((picture.size_px, picture.step_px), ([288, 256], 1));
             for curve in &report.curves {

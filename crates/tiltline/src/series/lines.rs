@@ -1,5 +1,7 @@
 //! Lines of one view of a series, and which of them is nearest to a point.
 
+use std::sync::Arc;
+
 use ndarray::Array2;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
@@ -18,6 +20,9 @@ pub struct ViewLines {
     pub traces: TraceGraph,
     /// Rows and columns of the image.
     pub shape: [usize; 2],
+    /// Probability of a line `[row, column]` in 255ths, as far below the threshold of tracing as the detector sees any; 0 by 0 where
+    /// only the centrelines are known.
+    pub probability: Arc<Array2<u8>>,
 }
 
 /// Finds and traces the lines of a single view with the detector of a pair.
@@ -25,11 +30,12 @@ pub fn detect_lines(image: &Micrograph, detector: &dyn Detect, settings: &TraceS
     let pixels = image.normalised();
     let shape = [pixels.nrows(), pixels.ncols()];
     if pixels.iter().all(|value| *value == 0.0) {
-        return ViewLines { traces: TraceGraph::default(), shape };
+        return ViewLines::new(TraceGraph::default(), shape);
     }
     let pair = alone(pixels);
     let map = detector.detect(&pair, View::Left);
-    ViewLines { traces: trace(&map, settings), shape }
+    let probability = map.probability.mapv(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8);
+    ViewLines { probability: Arc::new(probability), ..ViewLines::new(trace(&map, settings), shape) }
 }
 
 /// A "pair" of one image, for detectors, which look at pairs.
@@ -40,6 +46,11 @@ fn alone(pixels: Array2<f32>) -> RectifiedPair {
 }
 
 impl ViewLines {
+    /// Centrelines whose map of probabilities is not known.
+    pub fn new(traces: TraceGraph, shape: [usize; 2]) -> Self {
+        Self { traces, shape, probability: Arc::default() }
+    }
+
     /// Length of all lines, px.
     pub fn length_px(&self) -> f64 {
         self.traces.traces.iter().map(crate::curve::Trace::length_px).fold(0.0, |sum, length| sum + length)

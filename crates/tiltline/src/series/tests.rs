@@ -222,10 +222,7 @@ fn true_lines(scene: &Scene, view: &ViewSettings) -> ViewLines {
         let ends = [crate::curve::TraceEnd::Free; 2];
         crate::curve::Trace { points: (0..=last).map(point).collect(), closed: false, ends }
     });
-    ViewLines {
-        traces: crate::curve::TraceGraph { traces: traces.collect(), junctions: Vec::new() },
-        shape: view.shape,
-    }
+    ViewLines::new(crate::curve::TraceGraph { traces: traces.collect(), junctions: Vec::new() }, view.shape)
 }
 
 /// True curves lie on the lines of every view; curves with depth turned over are found out as a swapped pair, because points

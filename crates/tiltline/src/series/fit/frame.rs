@@ -1,15 +1,16 @@
 //! From a pair's result to one of all views, and back into the form that a pair's result has: rectified images, disparities and
 //! depths of the pair, now with the poses and curves that all views agree on. So every output and measure stays what it is.
 
-use super::grow::extended;
-use super::more::{new_curves, other_pairs};
+use super::grow::{aligned_views, extended};
+use super::settle::settled;
+use super::volume::Volume;
 use super::{FitSettings, FittedCurve, Grown, StartCurve, grow};
 use crate::curve::{Flag, MatchedCurve, MatchedPoint, TraceEnd, TraceGraph};
 use crate::geometry::{Point2, Point3, Similarity2, TiltPair, Vector2, project_at_tilt};
 use crate::matching::unmatched_lines;
 use crate::measure::measure;
 use crate::micrograph::View;
-use crate::pipeline::{Detect, Match};
+use crate::pipeline::Detect;
 use crate::progress::Stage;
 use crate::reconstruction::Reconstruction;
 use crate::rectify::RectifiedPair;
@@ -20,14 +21,16 @@ use crate::trace::trace;
 use crate::triangulate::triangulate;
 use crate::warning::Warning;
 
-/// Curves found in a smaller share of the places of other views are wrong matches, and are taken out. Where the detector finds little in
-/// any view, less is asked: so much of the usual share, the median over the length of the pair's curves.
+/// Curves of the pair that are found in a smaller share of their places in other views are wrong matches, and are taken out. Where
+/// the detector finds little in any view, less is asked: so much of the usual share, the median over the length of the pair's curves.
 const LEAST_SUPPORT: f64 = 0.4;
 const LEAST_OF_USUAL: f64 = 0.6;
-/// Curves that the pair did not show must be found in this share, or in so much of the usual one: matched on views that the curves
-/// were not made from, far more of them are wrong.
-const LEAST_SUPPORT_OF_NEW: f64 = 0.8;
-const LEAST_OF_USUAL_OF_NEW: f64 = 1.2;
+/// A curve of which less lies on one of the tomogram of all views is not confirmed by it, and more support is asked of it.
+const CONFIRMED: f64 = 0.5;
+const LEAST_UNCONFIRMED: f64 = 0.8;
+const LEAST_OF_USUAL_UNCONFIRMED: f64 = 1.2;
+/// Curves of the tomogram must be found in this share: faint lines are in it that hardly any view shows by itself.
+const LEAST_OF_TOMOGRAM: f64 = 0.3;
 /// So many views beside the pair are needed to say so.
 const LEAST_OTHERS: usize = 3;
 /// Points on lines of so many views are measured.
@@ -58,7 +61,6 @@ pub fn reconstruct_series(
     series: &Series,
     aligned: &AlignedSeries,
     detector: &dyn Detect,
-    matcher: &dyn Match,
     settings: &Settings,
     fit: &FitSettings,
     lines_of: &mut dyn FnMut(usize) -> Result<ViewLines, SeriesError>,
@@ -71,18 +73,16 @@ pub fn reconstruct_series(
         .map(|SavedCurve { points, sigma_z, closed, .. }| StartCurve { points, sigma_z, closed })
         .collect();
     let starts = [(pair[0], poses[0]), (pair[1], poses[1])];
-    let mut grown = grow(&start, starts, series, aligned, fit, lines_of)?;
-    // Lines that this pair does not show, from pairs about other tilts.
-    let mut known: Vec<StartCurve> = grown.curves.iter().map(FittedCurve::as_start).collect();
-    let first = known.len();
-    for [left, right] in other_pairs(&grown.views) {
-        let views = [&grown.views[left], &grown.views[right]];
-        known.extend(new_curves(views, &known, series, detector, matcher, settings)?);
+    let registered = grow(&start, starts, series, aligned, fit, lines_of)?;
+    let views = aligned_views(starts, series, aligned, &registered.views, lines_of)?;
+    let (mut grown, found) = settled(registered, views, &start, fit);
+    let confirmed = found.confirmed(&grown.curves);
+    let of_pair = kept(&grown, &confirmed, &found);
+    let new = found.away_from(of_pair.iter().map(|index| &grown.curves[*index]));
+    if !new.is_empty() {
+        grown = extended(grown, &new, fit);
     }
-    if known.len() > first {
-        grown = extended(grown, &known[first..], fit);
-    }
-    let reconstruction = in_pair_form(result, &grown, series, detector, settings);
+    let reconstruction = in_pair_form(result, &grown, &confirmed, &found, series, detector, settings);
     let Reconstruction { rectified, pair, frame, .. } = &reconstruction;
     grown.move_to(saved::poses(&rectified.rectification, pair.tilts, frame));
     let refined = refined(&grown, series, aligned, pair.tilts.mid_rad());
@@ -111,6 +111,8 @@ fn refined(grown: &Grown, series: &Series, aligned: &AlignedSeries, mid: f64) ->
 fn in_pair_form(
     mut result: Reconstruction,
     grown: &Grown,
+    confirmed: &[f64],
+    found: &Volume,
     series: &Series,
     detector: &dyn Detect,
     settings: &Settings,
@@ -146,13 +148,12 @@ fn in_pair_form(
     result.lines = View::BOTH.map(|view| detector.detect(&result.rectified, view));
     result.traces = [0, 1].map(|view| trace(&result.lines[view], &settings.trace));
 
-    let least = least_support(&grown.curves, result.matched.len());
-    let (kept, out) = kept(grown, result.matched.len(), least);
+    let kept = kept(grown, confirmed, found);
     let depth_gain = tilts.depth_gain().abs();
     let in_left = |point: &Point3| project_at_tilt(point, left.tilt_rad) + grid.shift;
     let in_right = |point: &Point3| project_at_tilt(point, right.tilt_rad) + grid.shift;
     let matched = kept.iter().map(|&index| {
-        // None for a curve that another pair shows.
+        // None for a curve of the tomogram.
         let (curve, old) = (&grown.curves[index], result.matched.get(index));
         let [on_left, on_right]: [Vec<Point2>; 2] =
             [curve.points.iter().map(in_left).collect(), curve.points.iter().map(in_right).collect()];
@@ -187,15 +188,36 @@ fn in_pair_form(
     // What was measured on the pair alone is measured anew.
     result.warnings.retain(|warning| warning.stage != Stage::Measure);
     result.warnings.extend(doubts);
-    let out = out.iter().filter(|index| **index < of_pair).count();
-    result.warnings.extend(warnings(grown, series, [out, added, of_pair], least[0]));
+    let out = of_pair + added - kept.len();
+    result.warnings.extend(warnings(grown, series, [out, added, of_pair]));
     result
 }
 
-/// The share of its places in other views in which a curve must be found: one of the pair, and one of another pair.
-fn least_support(curves: &[FittedCurve], of_pair: usize) -> [f64; 2] {
-    let mut shares: Vec<(f64, usize)> =
-        curves[..of_pair].iter().map(|curve| (curve.support, curve.points.len())).collect();
+/// The curves that are kept, the first ones those of the pair with what the tomogram says to each.
+///
+/// A curve of the pair must be supported by other views; one that the tomogram does not show, where it would, by more of them. Those
+/// behind are the tomogram's own.
+fn kept(grown: &Grown, confirmed: &[f64], found: &Volume) -> Vec<usize> {
+    let of_pair = confirmed.len();
+    let usual = usual_support(&grown.curves[..of_pair]);
+    let few = grown.views.len() < 2 + LEAST_OTHERS;
+    let is_kept = |index: &usize| {
+        let support = grown.curves[*index].support;
+        match confirmed.get(*index) {
+            None => support >= LEAST_OF_TOMOGRAM,
+            Some(_) if few => true,
+            Some(share) if found.is_decisive && *share < CONFIRMED => {
+                support >= LEAST_UNCONFIRMED.min(LEAST_OF_USUAL_UNCONFIRMED * usual)
+            }
+            Some(_) => support >= LEAST_SUPPORT.min(LEAST_OF_USUAL * usual),
+        }
+    };
+    (0..grown.curves.len()).filter(is_kept).collect()
+}
+
+/// The median support over the length of curves.
+fn usual_support(curves: &[FittedCurve]) -> f64 {
+    let mut shares: Vec<(f64, usize)> = curves.iter().map(|curve| (curve.support, curve.points.len())).collect();
     shares.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = shares.iter().map(|share| share.1).sum::<usize>() / 2;
     let mut passed = 0;
@@ -203,21 +225,10 @@ fn least_support(curves: &[FittedCurve], of_pair: usize) -> [f64; 2] {
         passed += length;
         passed > half
     });
-    let usual = usual.map_or(1.0, |share| share.0);
-    [LEAST_SUPPORT.min(LEAST_OF_USUAL * usual), LEAST_SUPPORT_OF_NEW.min(LEAST_OF_USUAL_OF_NEW * usual)]
+    usual.map_or(1.0, |share| share.0)
 }
 
-/// Curves that other views support, and those that they do not; the first `of_pair` are those of the pair.
-fn kept(grown: &Grown, of_pair: usize, least: [f64; 2]) -> (Vec<usize>, Vec<usize>) {
-    let others = grown.views.len() - 2;
-    let supported = |index: &usize| {
-        let is_new = *index >= of_pair;
-        (others < LEAST_OTHERS && !is_new) || grown.curves[*index].support >= least[usize::from(is_new)]
-    };
-    (0..grown.curves.len()).partition(supported)
-}
-
-fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3], least: f64) -> Vec<Warning> {
+fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3]) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if !grown.left_out.is_empty() {
         let mut tilts: Vec<f64> = grown.left_out.iter().map(|view| series.views[*view].tilt_deg).collect();
@@ -233,16 +244,13 @@ fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3], l
     }
     if added > 0 {
         let message =
-            format!("{added} curves were added that the pair does not show, from pairs of views about other tilts");
+            format!("{added} curves were added that the pair does not show, from what all views show together");
         warnings.push(Warning::new(Stage::Match, message));
     }
     if out > 0 {
         let message = format!(
-            "{} of {} curves of the pair were taken out as wrong matches: in the other views less than {:.0} % of them lies on a \
-             line (lines.csv has their lines)",
-            out,
-            of_pair,
-            100.0 * least
+            "{out} of {of_pair} curves of the pair were taken out as wrong matches: too little of them lies on lines of the other views, or \
+             all views together do not show them (lines.csv has their lines)"
         );
         warnings.push(Warning::new(Stage::Refine, message));
     }
@@ -294,6 +302,8 @@ fn at_junction(end: TraceEnd, place: &Point2, graph: &TraceGraph) -> TraceEnd {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::series::fit::FitView;
+    use crate::series::{LineIndex, ViewPose};
 
     fn curve(support: f64, points: usize) -> FittedCurve {
         let points = vec![Point3::origin(); points];
@@ -301,14 +311,33 @@ mod tests {
     }
 
     /// Where lines are found in nearly every view a curve without support is a wrong match; where they are found in every third view
-    /// only, it is one with less than most have.
+    /// only, it is one with less than most have. One that the tomogram does not show needs more; one of the tomogram less.
     #[test]
-    fn support_is_held_against_what_is_usual() {
-        let well_found = [curve(0.9, 100), curve(0.3, 20), curve(0.85, 60), curve(0.7, 50)];
-        assert_eq!(least_support(&well_found, 3), [LEAST_SUPPORT, LEAST_SUPPORT_OF_NEW]);
-        let badly_found = [curve(0.3, 100), curve(0.1, 20), curve(0.4, 60)];
-        let [of_pair, of_new] = least_support(&badly_found, 3);
-        assert!((of_pair - 0.18).abs() < 1e-12 && (of_new - 0.36).abs() < 1e-12, "{of_pair} {of_new}");
-        assert_eq!(least_support(&[], 0), [LEAST_SUPPORT, LEAST_SUPPORT_OF_NEW]);
+    fn support_is_held_against_what_is_usual_and_the_tomogram() {
+        let lines = LineIndex::new(ViewLines::new(TraceGraph::default(), [64, 64]));
+        let view = |place: usize| {
+            let tilt_rad = 0.1 * place as f64;
+            FitView::new(place, ViewPose::new(tilt_rad, 0.0, 1.0, Point2::origin()), lines.clone())
+        };
+        let grown = |curves: Vec<FittedCurve>, views: usize| Grown {
+            noise: vec![1.0; views],
+            tilt_sigma_rad: vec![0.0; views],
+            views: (0..views).map(view).collect(),
+            left_out: Vec::new(),
+            curves,
+        };
+        let [silent, decisive] =
+            [false, true].map(|is_decisive| Volume { curves: Vec::new(), is_decisive, strength: 0.0 });
+        let well_found = || vec![curve(0.9, 100), curve(0.3, 20), curve(0.85, 60), curve(0.7, 50)];
+        assert_eq!(kept(&grown(well_found(), 9), &[1.0, 1.0, 1.0, 0.0], &silent), [0, 2, 3]);
+        assert_eq!(kept(&grown(well_found(), 9), &[1.0, 1.0, 1.0, 0.0], &decisive), [0, 2]);
+        // Behind those of the pair: of the tomogram.
+        assert_eq!(kept(&grown(well_found(), 9), &[1.0], &decisive), [0, 1, 2, 3]);
+        // Too few views to say so.
+        assert_eq!(kept(&grown(well_found(), 4), &[0.0; 4], &silent), [0, 1, 2, 3]);
+        let badly_found = vec![curve(0.3, 100), curve(0.1, 20), curve(0.4, 60), curve(0.2, 30)];
+        assert_eq!(kept(&grown(badly_found, 9), &[1.0; 4], &decisive), [0, 2, 3]);
+        assert!((usual_support(&[curve(0.3, 100), curve(0.1, 20)]) - 0.3).abs() < 1e-12);
+        assert!((usual_support(&[]) - 1.0).abs() < 1e-12);
     }
 }

@@ -7,9 +7,9 @@ use crate::series::{AlignedSeries, LineIndex, Series, SeriesError, ViewLines, Vi
 /// Views are taken in up to so many times the tilt that is in already, counted from the pair's middle.
 const GROWTH: f64 = 1.5;
 /// Rounds of the fit after each batch of views.
-const ROUNDS: usize = 4;
+pub(super) const ROUNDS: usize = 4;
 /// Reach while views come in, px.
-const WIDE_PX: f64 = 6.0;
+pub(super) const WIDE_PX: f64 = 6.0;
 /// Shifts of a new view are looked for within this share of the image's longer side, px at least.
 const SEARCH_SHARE: f64 = 0.04;
 const SEARCH_LEAST_PX: f64 = 12.0;
@@ -90,7 +90,7 @@ pub fn grow(
         let batch = waiting.iter().take_while(|&&view| (tilt(view) - mid).abs() <= limit).count();
         for view in waiting.drain(..batch) {
             let lines = LineIndex::new(lines_of(view)?);
-            let start = start(view, tilt(view) - mid, &problem.views, aligned);
+            let start = expected(view, tilt(view) - mid, &problem.views, aligned);
             let found = register(&problem.points_with_tangents(), &lines, &start, search_px, false);
             match found.filter(|found| found.is_supported()) {
                 Some(found) => problem.add(FitView::new(view, found.pose, lines)),
@@ -104,6 +104,35 @@ pub fn grow(
     Ok(finished(problem, left_out, settings))
 }
 
+/// The views of a series where its alignment says they are, those of the pair first; lines that are known already are not looked for
+/// again.
+///
+/// # Errors
+/// Where a view cannot be read.
+pub(super) fn aligned_views(
+    pair: [(usize, ViewPose); 2],
+    series: &Series,
+    aligned: &AlignedSeries,
+    known: &[FitView],
+    lines_of: &mut dyn FnMut(usize) -> Result<ViewLines, SeriesError>,
+) -> Result<Vec<FitView>, SeriesError> {
+    let mut lines = |view: usize| match known.iter().find(|known| known.view == view) {
+        Some(known) => Ok(known.lines.clone()),
+        None => lines_of(view).map(LineIndex::new),
+    };
+    let tilt = |view: usize| series.views[view].tilt_deg.to_radians();
+    let mid = 0.5 * (tilt(pair[0].0) + tilt(pair[1].0));
+    let mut views = Vec::new();
+    for (view, pose) in pair {
+        views.push(FitView::new(view, pose, lines(view)?));
+    }
+    for view in (0..series.views.len()).filter(|view| pair.iter().all(|(other, _)| other != view)) {
+        let pose = expected(view, tilt(view) - mid, &views[..2], aligned);
+        views.push(FitView::new(view, pose, lines(view)?));
+    }
+    Ok(views)
+}
+
 /// Fits the same views again, with further curves behind those that were fitted before.
 pub(super) fn extended(before: Grown, further: &[StartCurve], settings: &FitSettings) -> Grown {
     let mut curves: Vec<StartCurve> = before.curves.iter().map(FittedCurve::as_start).collect();
@@ -114,7 +143,7 @@ pub(super) fn extended(before: Grown, further: &[StartCurve], settings: &FitSett
     finished(problem, before.left_out, settings)
 }
 
-fn finished(mut problem: Problem, left_out: Vec<usize>, settings: &FitSettings) -> Grown {
+pub(super) fn finished(mut problem: Problem, left_out: Vec<usize>, settings: &FitSettings) -> Grown {
     let curves = problem.fitted(settings.reach_px);
     let tilt_sigma_rad = match &problem.step {
         Some(step) => (0..problem.views.len()).map(|view| step.view_variance(view, 4).sqrt()).collect(),
@@ -124,12 +153,14 @@ fn finished(mut problem: Problem, left_out: Vec<usize>, settings: &FitSettings) 
     Grown { curves, views: problem.views, noise, tilt_sigma_rad, left_out }
 }
 
-/// Where a view is expected: as its nearest neighbour in the fit, moved by the alignment of the series.
-fn start(view: usize, tilt_rad: f64, known: &[FitView], aligned: &AlignedSeries) -> ViewPose {
+/// Where a view is expected: beside its nearest neighbour in the fit, moved by the alignment of the series; turned and magnified as
+/// the pair, as the stage and the microscope do not change.
+fn expected(view: usize, tilt_rad: f64, known: &[FitView], aligned: &AlignedSeries) -> ViewPose {
     let nearest = known
         .iter()
         .min_by(|a, b| (a.pose.tilt_rad - tilt_rad).abs().total_cmp(&(b.pose.tilt_rad - tilt_rad).abs()))
         .expect("the views of the pair are in the fit");
     let off = nearest.pose.origin() - aligned.poses[nearest.view].origin();
-    ViewPose::new(tilt_rad, nearest.pose.axis_rad(), nearest.pose.scale(), aligned.poses[view].origin() + off)
+    let pair = &known[0].pose;
+    ViewPose::new(tilt_rad, pair.axis_rad(), pair.scale(), aligned.poses[view].origin() + off)
 }

@@ -8,12 +8,13 @@
 
 mod frame;
 mod grow;
-mod more;
 mod observe;
+mod settle;
 mod solve;
 mod spline;
 #[cfg(test)]
 mod tests;
+mod volume;
 
 pub use frame::{SeriesFit, reconstruct_series};
 pub use grow::{Grown, grow};
@@ -139,9 +140,11 @@ impl Problem {
         Self { splines, start: views.iter().map(|view| view.pose).collect(), views, noise, step: None }
     }
 
-    /// Takes in another view.
+    /// Takes in another view. Its turn and magnification are held to the pair's, not to those it was registered with: errors would
+    /// go on from view to view.
     fn add(&mut self, view: FitView) {
-        self.start.push(view.pose);
+        let ViewPose { tilt_rad, .. } = view.pose;
+        self.start.push(ViewPose::new(tilt_rad, self.start[0].axis_rad(), self.start[0].scale(), view.pose.origin()));
         self.noise.push(Noise::default());
         self.views.push(view);
     }

@@ -12,10 +12,10 @@ use crate::simulate::scene::bezier;
 
 /// Error of a traced line across itself, px, independent from point to point.
 const SIGMA_X: f64 = 0.3;
-const SHAPE: [usize; 2] = [512, 512];
+pub(super) const SHAPE: [usize; 2] = [512, 512];
 
 /// Bowed curves that run roughly along the tilt axis, at depths up to 60 px: well placed.
-fn curves() -> Vec<Vec<Point3>> {
+pub(super) fn curves() -> Vec<Vec<Point3>> {
     (0..12)
         .map(|k| {
             let (x, slope) = (-200.0 + 36.0 * f64::from(k), if k % 2 == 0 { 0.5 } else { -0.4 });
@@ -39,7 +39,7 @@ fn true_pose(index: usize, count: usize, tilt_deg: f64, off: f64) -> ViewPose {
 }
 
 /// Centrelines of the curves in a view, points about 1 px apart, with independent errors across the line.
-fn noisy_lines(curves: &[Vec<Point3>], pose: &ViewPose, rng: &mut Pcg64) -> ViewLines {
+pub(super) fn noisy_lines(curves: &[Vec<Point3>], pose: &ViewPose, rng: &mut Pcg64) -> ViewLines {
     let noise = Normal::new(0.0, SIGMA_X).unwrap();
     let traces = curves.iter().map(|curve| {
         let projected: Vec<Point2> = curve.iter().map(|point| pose.project(point)).collect();
@@ -51,7 +51,7 @@ fn noisy_lines(curves: &[Vec<Point3>], pose: &ViewPose, rng: &mut Pcg64) -> View
         });
         Trace { points: points.collect(), closed: false, ends: [TraceEnd::Free; 2] }
     });
-    ViewLines { traces: TraceGraph { traces: traces.collect(), junctions: Vec::new() }, shape: SHAPE }
+    ViewLines::new(TraceGraph { traces: traces.collect(), junctions: Vec::new() }, SHAPE)
 }
 
 /// The views of a problem: true poses, and what is known of them, which is nothing but the nominal tilt.
@@ -171,7 +171,7 @@ fn a_line_that_moves_to_larger_x_as_the_tilt_grows_lies_behind() {
     let view = |(index, tilt_deg): (usize, f64)| {
         let tilt = tilt_deg.to_radians();
         let traces = (0..3).map(|k| line(tilt, k)).collect();
-        let lines = ViewLines { traces: TraceGraph { traces, junctions: Vec::new() }, shape: SHAPE };
+        let lines = ViewLines::new(TraceGraph { traces, junctions: Vec::new() }, SHAPE);
         let pose = ViewPose::new(tilt, 0.0, 1.0, Point2::new(255.5, 255.5));
         FitView::new(index, pose, LineIndex::new(lines))
     };
@@ -194,7 +194,7 @@ fn a_line_that_moves_to_larger_x_as_the_tilt_grows_lies_behind() {
 /// that were asked for.
 #[test]
 fn moved_to_another_frame_every_view_shows_the_same() {
-    let lines = || LineIndex::new(ViewLines { traces: TraceGraph::default(), shape: SHAPE });
+    let lines = || LineIndex::new(ViewLines::new(TraceGraph::default(), SHAPE));
     let view = |(index, (tilt, axis, x)): (usize, (f64, f64, f64))| {
         FitView::new(index, ViewPose::new(tilt, axis, 1.0 + 0.01 * axis, Point2::new(x, 200.0 - x)), lines())
     };

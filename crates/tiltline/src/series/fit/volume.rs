@@ -1,0 +1,259 @@
+//! Lines that all views together show: a tomogram of the probabilities of lines, and the curves in it.
+//!
+//! A faint line has a small probability in every view, too small for a matched pair to make a curve of it; projected back from all
+//! views, small probabilities add up in one place. What looks like a line in single views only does not meet itself there.
+//! Weighted back projection takes out again what the views do not agree on.
+
+use ndarray::Array2;
+use rstar::RTree;
+use rstar::primitives::GeomWithData;
+
+use super::{FitView, FittedCurve, StartCurve};
+use crate::geometry::{Point2, Point3, Similarity2, Vector2, Vector3};
+use crate::rectify::resample::{bounds, resample};
+use crate::simulate::draw::profile;
+use crate::tomography::curves::{CurveSettings, curves};
+use crate::tomography::{Geometry, Method, WbpSettings, volume};
+
+/// Voxels of the largest tomogram; views are shrunk until theirs is no larger.
+const MOST_VOXELS: f64 = 1.2e8;
+/// Layers beyond the range of depth, px.
+const MARGIN_PX: f64 = 10.0;
+/// Depth is looked at beyond that of the known curves, by this share on both sides.
+const BEYOND: f64 = 0.15;
+/// Standard deviation of a line in a map of probabilities, px.
+const LINE_SIGMA_PX: f64 = 1.3;
+/// A voxel belongs to a line from this share on of the value of a line that all views are sure of.
+pub(super) const LEAST_SHARE: f64 = 0.12;
+/// With few views lines of some of them meet by chance: the share is at least this over the square of their number (with three
+/// views nothing is sure enough).
+const CHANCE: f64 = 10.0;
+/// One sigma of a curve's depth in the tomogram, voxels.
+const SIGMA_Z: f64 = 1.5;
+/// A curve and the tomogram agree within this, px.
+const NEAR_PX: f64 = 4.0;
+/// Shortest stretch that is new, px.
+const SHORTEST_PX: f64 = 15.0;
+
+/// What the tomogram of all views shows.
+pub(super) struct Volume {
+    /// The curves in it, in the frame of the poses.
+    pub curves: Vec<StartCurve>,
+    /// Whether there are so many views that a line that is seen in them is in the tomogram.
+    pub is_decisive: bool,
+    /// How much there is of lines: the sum of what voxels have beyond the threshold, relative to it.
+    pub strength: f64,
+}
+
+impl Volume {
+    /// The tomogram of the views, about as deep as the known curves, and the curves from the share `least` on.
+    pub fn new(views: &[FitView], known: &[FittedCurve], least: f64) -> Self {
+        let is_decisive = LEAST_SHARE * (views.len() as f64).powi(2) >= 0.95 * CHANCE;
+        let mut z: Vec<f64> = known.iter().flat_map(|curve| &curve.points).map(|point| point.z).collect();
+        z.sort_by(f64::total_cmp);
+        let (curves, strength) = match z[..] {
+            [] => (Vec::new(), 0.0),
+            _ => {
+                let at = |share: f64| z[((z.len() - 1) as f64 * share) as usize];
+                let (low, high) = (at(0.01), at(0.99));
+                let more = BEYOND * (high - low);
+                curves_of(views, [low - more, high + more], least, MOST_VOXELS)
+            }
+        };
+        Self { curves, is_decisive, strength }
+    }
+
+    /// For each curve the share of its points that lie on one of the tomogram.
+    pub fn confirmed(&self, curves: &[FittedCurve]) -> Vec<f64> {
+        let tree = tree(self.curves.iter().map(|curve| &curve.points[..]));
+        let share = |curve: &FittedCurve| {
+            let near = curve.points.iter().filter(|point| is_near(&tree, point)).count();
+            near as f64 / curve.points.len().max(1) as f64
+        };
+        curves.iter().map(share).collect()
+    }
+
+    /// The stretches of its curves that are away from all the given ones.
+    pub fn away_from<'a>(&self, known: impl Iterator<Item = &'a FittedCurve>) -> Vec<StartCurve> {
+        let tree = tree(known.map(|curve| &curve.points[..]));
+        let mut away = Vec::new();
+        for curve in &self.curves {
+            for stretch in curve.points.split(|point| is_near(&tree, point)) {
+                let length: f64 = stretch.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+                if stretch.len() >= 2 && length >= SHORTEST_PX {
+                    away.push(StartCurve {
+                        points: stretch.into(),
+                        sigma_z: vec![curve.sigma_z[0]; stretch.len()],
+                        closed: curve.closed && stretch.len() == curve.points.len(),
+                    });
+                }
+            }
+        }
+        away
+    }
+}
+
+type Tree = RTree<GeomWithData<[f64; 3], ()>>;
+
+fn tree<'a>(curves: impl Iterator<Item = &'a [Point3]>) -> Tree {
+    let points = curves.flatten().map(|point| GeomWithData::new([point.x, point.y, point.z], ()));
+    RTree::bulk_load(points.collect())
+}
+
+fn is_near(tree: &Tree, point: &Point3) -> bool {
+    tree.locate_within_distance([point.x, point.y, point.z], NEAR_PX * NEAR_PX).next().is_some()
+}
+
+/// Curves in the tomogram of the probabilities of all views, in the frame of the poses, between two depths, px; and its strength.
+fn curves_of(views: &[FitView], [top, bottom]: [f64; 2], least: f64, most_voxels: f64) -> (Vec<StartCurve>, f64) {
+    let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
+    let Some(first) = views.first() else { return (Vec::new(), 0.0) };
+    // The plane of projection as far as the first view shows it.
+    let (low, high) = bounds(first.lines.lines().shape, &first.pose.image_from_projection.inverse());
+    let middle_z = 0.5 * (top + bottom);
+    let size = [high.x - low.x + 1.0, high.y - low.y + 1.0, bottom - top + 2.0 * MARGIN_PX];
+    let px = (size.iter().product::<f64>() / most_voxels).cbrt().max(1.0);
+    let [width, height, depth] = size.map(|length| (length / px).ceil().max(1.0) as usize);
+    let on_grid = |view: &&FitView| {
+        // About the middle layer: what lies there moves with the tilt.
+        let shift = -low.coords - Vector2::new(middle_z * view.pose.tilt_rad.sin(), 0.0);
+        let mut map = view.pose.image_from_projection.inverse();
+        map.isometry.translation.vector += shift;
+        let map = Similarity2::from_scaling(1.0 / px) * map;
+        let probability = view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0);
+        let moved = resample(&probability.view(), &map, [height, width]);
+        moved.mapv_into(|value| if value.is_finite() { value } else { 0.0 })
+    };
+    let images: Vec<Array2<f32>> = views.iter().map(on_grid).collect();
+    let tilts_rad: Vec<f64> = views.iter().map(|view| view.pose.tilt_rad).collect();
+    let share = least.max(CHANCE / (views.len() as f64).powi(2));
+    let threshold = value_of_a_line(&tilts_rad, LINE_SIGMA_PX / px).map(|value| (share * value) as f32);
+    let geometry = Geometry { tilts_rad, width, depth, axis_column: -low.x / px };
+    // Neither exists where there are not two different tilts.
+    let tomogram = volume(&images, &geometry, &Method::Wbp(WbpSettings::default())).ok();
+    drop(images);
+    let Some((tomogram, threshold)) = tomogram.zip(threshold) else { return (Vec::new(), 0.0) };
+    let strength = tomogram.iter().map(|value| f64::from((value / threshold - 1.0).max(0.0))).sum();
+    let found = curves(&tomogram, &geometry, threshold, &CurveSettings::default());
+    let in_frame = |point: Point3| Point3::from(point.coords * px) + Vector3::new(0.0, low.y, middle_z);
+    let start = |curve: crate::tomography::curves::VolumeCurve| StartCurve {
+        sigma_z: vec![SIGMA_Z * px; curve.points.len()],
+        points: curve.points.into_iter().map(in_frame).collect(),
+        closed: curve.closed,
+    };
+    (found.into_iter().map(start).collect(), strength)
+}
+
+/// The value in the tomogram of a line along the tilt axis that all views are sure of.
+fn value_of_a_line(tilts_rad: &[f64], sigma_px: f64) -> Option<f64> {
+    const SIDE: usize = 65;
+    const MIDDLE: usize = SIDE / 2;
+    let mut image = Array2::<f32>::zeros([3, SIDE]);
+    let line = [Point2::new(MIDDLE as f64, -10.0), Point2::new(MIDDLE as f64, 12.0)];
+    profile([3, SIDE], &line, sigma_px, |row, column, value| image[[row, column]] = value);
+    let geometry = Geometry::centred(tilts_rad.to_vec(), SIDE, 3);
+    let tomogram = volume(&vec![image; tilts_rad.len()], &geometry, &Method::Wbp(WbpSettings::default())).ok()?;
+    Some(f64::from(tomogram[[1, 1, MIDDLE]]))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::curve::TraceGraph;
+    use crate::series::{LineIndex, ViewLines, ViewPose};
+    use crate::simulate::draw::union_of_profiles;
+
+    const SHAPE: [usize; 2] = [160, 150];
+
+    /// A bowed line behind mid-foil, and where a view shows it.
+    fn line() -> Vec<Point3> {
+        let at = |step: i32| {
+            let y = f64::from(step);
+            Point3::new(12.0 + 0.3 * y + 0.004 * y * y, y, 22.0 + 0.2 * y)
+        };
+        (-50..=50).map(at).collect()
+    }
+
+    /// Views that are turned, magnified and shifted; each sees the line with a probability, and surely one more line of its own.
+    fn views(tilts_deg: &[f64], probability: f64) -> Vec<FitView> {
+        let view = |(index, tilt_deg): (usize, &f64)| {
+            let wave = |k: f64| (k * (index as f64 + 1.0)).sin();
+            let origin = Point2::new(74.5 + 4.0 * wave(2.3), 79.5 + 4.0 * wave(1.7));
+            let pose = ViewPose::new(tilt_deg.to_radians(), 0.05 + 0.01 * wave(0.9), 1.0 + 0.01 * wave(3.1), origin);
+            let seen: Vec<Point2> = line().iter().map(|point| pose.project(point)).collect();
+            // Across the tilt axis, at different heights: they do not meet.
+            let y = 12.0 + 8.0 * index as f64;
+            let own = vec![Point2::new(10.0, y), Point2::new(140.0, y + 4.0)];
+            let (line, own) =
+                (union_of_profiles(SHAPE, &[seen], LINE_SIGMA_PX), union_of_profiles(SHAPE, &[own], LINE_SIGMA_PX));
+            let both = Array2::from_shape_fn(SHAPE, |at| (255.0 * (probability as f32 * line[at]).max(own[at])) as u8);
+            let lines = ViewLines { probability: Arc::new(both), ..ViewLines::new(TraceGraph::default(), SHAPE) };
+            FitView::new(index, pose, LineIndex::new(lines))
+        };
+        tilts_deg.iter().enumerate().map(view).collect()
+    }
+
+    /// Largest distance of the found points from the line, and the share of the line that has one within 3 px.
+    fn off(found: &[StartCurve]) -> (f64, f64) {
+        let points: Vec<Point3> = found.iter().flat_map(|curve| curve.points.clone()).collect();
+        let line = line();
+        let nearest = |point: &Point3, others: &[Point3]| {
+            others.iter().map(|other| (other - point).norm()).fold(f64::INFINITY, f64::min)
+        };
+        let worst = points.iter().map(|point| nearest(point, &line)).fold(0.0, f64::max);
+        let seen = line.iter().filter(|point| nearest(point, &points) < 3.0).count();
+        (worst, seen as f64 / line.len() as f64)
+    }
+
+    /// A line that every view holds for unlikely lies where it is, in front and behind not turned over, and what each view alone is
+    /// sure of lies nowhere; in a shrunk tomogram too.
+    #[test]
+    fn a_line_that_all_views_hold_for_unlikely_is_found_and_what_single_views_show_is_not() {
+        let tilts: Vec<f64> = (-8..=8).map(|step| 6.0 * f64::from(step)).collect();
+        let views = views(&tilts, 0.3);
+        for (most_voxels, accepted) in [(1e9, 2.0), (4e5, 4.0)] {
+            let (found, strength) = curves_of(&views, [0.0, 40.0], LEAST_SHARE, most_voxels);
+            let (worst, seen) = off(&found);
+            assert!(worst < accepted && seen > 0.9 && strength > 0.0, "{worst} {seen} {strength}");
+        }
+    }
+
+    /// Lines of two of four views meet somewhere, whatever they are.
+    #[test]
+    fn with_few_views_most_must_be_sure() {
+        let tilts = [-30.0, -10.0, 10.0, 30.0];
+        let (sure, blind) = (views(&tilts, 1.0), views(&tilts, 0.0));
+        let found = |views: &[FitView]| off(&curves_of(views, [0.0, 40.0], LEAST_SHARE, 1e9).0).1;
+        assert!(found(&sure) > 0.5);
+        let two: Vec<FitView> = sure[..2].iter().chain(&blind[2..]).cloned().collect();
+        assert!(found(&two) < 0.01);
+        assert!(found(&[]) < 0.01);
+    }
+
+    /// Curves in the tomogram are confirmed, and are not new beside it; others are neither.
+    #[test]
+    fn what_is_known_is_confirmed_and_not_new() {
+        let start = |dz: f64| StartCurve {
+            points: line().iter().map(|point| point + Vector3::new(0.0, 0.0, dz)).collect(),
+            sigma_z: vec![1.0; 101],
+            closed: false,
+        };
+        let fitted = |dz: f64| FittedCurve {
+            points: start(dz).points,
+            sigma_z: vec![1.0; 101],
+            seen: vec![3; 101],
+            closed: false,
+            support: 1.0,
+        };
+        let volume = Volume { curves: vec![start(0.0)], is_decisive: true, strength: 1.0 };
+        assert_eq!(volume.confirmed(&[fitted(1.0), fitted(9.0)]), [1.0, 0.0]);
+        assert!(volume.away_from([fitted(1.0)].iter()).is_empty());
+        assert_eq!(volume.away_from([fitted(9.0)].iter()), [start(0.0)]);
+        let mut half = fitted(1.0);
+        half.points.truncate(60);
+        let rest = volume.away_from([half].iter());
+        assert!(rest.len() == 1 && (30..45).contains(&rest[0].points.len()), "{}", rest[0].points.len());
+    }
+}
