@@ -4,7 +4,8 @@
 //! Robust, sparse least squares: project the splines, measure the offset to the line across them in every view ([`observe`]), solve
 //! for curves and poses ([`solve`]), repeat. Priors hold each tilt to 0.1 degree and their mean altogether (a common change only
 //! turns the foil); the shift and magnification of the first view, and the shift of the second along the rows, are the frame.
-//! [`grow`] starts from a pair and takes in views by and by.
+//! [`grow`] starts from a pair and takes in views by and by; [`volume`] adds the lines that only all views together show, and
+//! [`settle`] finds poses by them where the pair's curves are wrong.
 
 mod frame;
 mod grow;

@@ -9,6 +9,7 @@ use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
 use super::{FitView, FittedCurve, StartCurve};
+use crate::filter::gaussian_blur;
 use crate::geometry::{Point2, Point3, Similarity2, Vector2, Vector3};
 use crate::rectify::resample::{bounds, resample};
 use crate::simulate::draw::profile;
@@ -17,6 +18,8 @@ use crate::tomography::{Geometry, Method, WbpSettings, volume};
 
 /// Voxels of the largest tomogram; views are shrunk until theirs is no larger.
 const MOST_VOXELS: f64 = 1.2e8;
+/// Views are blurred by so many voxels before they are shrunk, so that no line falls between the voxels.
+const SHRUNK_BLUR: f64 = 0.5;
 /// Layers beyond the range of depth, px.
 const MARGIN_PX: f64 = 10.0;
 /// Depth is looked at beyond that of the known curves, by this share on both sides.
@@ -28,6 +31,8 @@ pub(super) const LEAST_SHARE: f64 = 0.12;
 /// With few views lines of some of them meet by chance: the share is at least this over the square of their number (with three
 /// views nothing is sure enough).
 const CHANCE: f64 = 10.0;
+/// Where views are full of lines, they meet everywhere: the share is at least so many times the root mean square of the tomogram.
+const ABOVE_NOISE: f64 = 8.0;
 /// One sigma of a curve's depth in the tomogram, voxels.
 const SIGMA_Z: f64 = 1.5;
 /// A curve and the tomogram agree within this, px.
@@ -120,19 +125,27 @@ fn curves_of(views: &[FitView], [top, bottom]: [f64; 2], least: f64, most_voxels
         let mut map = view.pose.image_from_projection.inverse();
         map.isometry.translation.vector += shift;
         let map = Similarity2::from_scaling(1.0 / px) * map;
-        let probability = view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0);
+        let mut probability = view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0);
+        if px > 1.0 {
+            probability = gaussian_blur(&probability, SHRUNK_BLUR * px);
+        }
         let moved = resample(&probability.view(), &map, [height, width]);
         moved.mapv_into(|value| if value.is_finite() { value } else { 0.0 })
     };
     let images: Vec<Array2<f32>> = views.iter().map(on_grid).collect();
     let tilts_rad: Vec<f64> = views.iter().map(|view| view.pose.tilt_rad).collect();
-    let share = least.max(CHANCE / (views.len() as f64).powi(2));
-    let threshold = value_of_a_line(&tilts_rad, LINE_SIGMA_PX / px).map(|value| (share * value) as f32);
+    // A blurred line is wider and fainter.
+    let sigma_px = if px > 1.0 { LINE_SIGMA_PX.hypot(SHRUNK_BLUR * px) } else { LINE_SIGMA_PX };
+    let sure = value_of_a_line(&tilts_rad, sigma_px / px).map(|value| value * LINE_SIGMA_PX / sigma_px);
     let geometry = Geometry { tilts_rad, width, depth, axis_column: -low.x / px };
     // Neither exists where there are not two different tilts.
     let tomogram = volume(&images, &geometry, &Method::Wbp(WbpSettings::default())).ok();
     drop(images);
-    let Some((tomogram, threshold)) = tomogram.zip(threshold) else { return (Vec::new(), 0.0) };
+    let Some((tomogram, sure)) = tomogram.zip(sure) else { return (Vec::new(), 0.0) };
+    let squares: f64 = tomogram.iter().map(|value| f64::from(*value).powi(2)).sum();
+    let noise = (squares / tomogram.len() as f64).sqrt() / sure;
+    let share = least.max(CHANCE / (views.len() as f64).powi(2)).max(ABOVE_NOISE * noise);
+    let threshold = (share * sure) as f32;
     let strength = tomogram.iter().map(|value| f64::from((value / threshold - 1.0).max(0.0))).sum();
     let found = curves(&tomogram, &geometry, threshold, &CurveSettings::default());
     let in_frame = |point: Point3| Point3::from(point.coords * px) + Vector3::new(0.0, low.y, middle_z);
