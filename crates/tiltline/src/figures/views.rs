@@ -206,7 +206,6 @@ fn in_both(result: &ResultCurves, pair: &TruthPair<'_>) -> ResultCurves {
 ///
 /// # Errors
 /// Where a view cannot be read.
-#[expect(clippy::too_many_arguments, reason = "the stages of a pair and the parts of a series meet here")]
 pub fn fit(
     result: &Reconstruction,
     pair: [usize; 2],
