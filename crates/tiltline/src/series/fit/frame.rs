@@ -75,14 +75,22 @@ pub fn reconstruct_series(
     let starts = [(pair[0], poses[0]), (pair[1], poses[1])];
     let registered = grow(&start, starts, series, aligned, fit, lines_of)?;
     let views = aligned_views(starts, series, aligned, &registered.views, lines_of)?;
-    let (mut grown, found) = settled(registered, views, &start, fit);
+    let (mut grown, found, is_aligned) = settled(registered, views, &start, fit);
     let confirmed = found.confirmed(&grown.curves);
     let of_pair = kept(&grown, &confirmed, &found);
     let new = found.away_from(of_pair.iter().map(|index| &grown.curves[*index]));
     if !new.is_empty() {
         grown = extended(grown, &new, fit);
     }
-    let reconstruction = in_pair_form(result, &grown, &confirmed, &found, series, detector, settings);
+    let mut reconstruction = in_pair_form(result, &grown, &confirmed, &found, series, detector, settings);
+    if is_aligned {
+        let message = format!(
+            "the curves of the pair lie on the lines of few other views; the {} views lie as the alignment of the series and the lines \
+             that they show together say. Look at the curves in other views (tiltline reproject), and try another --pair",
+            grown.views.len()
+        );
+        reconstruction.warnings.push(Warning::new(Stage::Refine, message));
+    }
     let Reconstruction { rectified, pair, frame, .. } = &reconstruction;
     grown.move_to(saved::poses(&rectified.rectification, pair.tilts, frame));
     let refined = refined(&grown, series, aligned, pair.tilts.mid_rad());
@@ -333,6 +341,7 @@ mod tests {
         assert_eq!(kept(&grown(well_found(), 9), &[1.0, 1.0, 1.0, 0.0], &decisive), [0, 2]);
         // Behind those of the pair: of the tomogram.
         assert_eq!(kept(&grown(well_found(), 9), &[1.0], &decisive), [0, 1, 2, 3]);
+        assert_eq!(kept(&grown(vec![curve(0.9, 100), curve(0.29, 20)], 9), &[1.0], &decisive), [0]);
         // Too few views to say so.
         assert_eq!(kept(&grown(well_found(), 4), &[0.0; 4], &silent), [0, 1, 2, 3]);
         let badly_found = vec![curve(0.3, 100), curve(0.1, 20), curve(0.4, 60), curve(0.2, 30)];
