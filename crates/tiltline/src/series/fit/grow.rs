@@ -1,7 +1,7 @@
 //! The fit from a pair outwards: views are taken in by their distance in tilt, each registered on the curves as they are by then.
 
 use super::{FitSettings, FitView, FittedCurve, Problem, StartCurve};
-use crate::geometry::Point3;
+use crate::geometry::{Point2, Point3};
 use crate::series::{AlignedSeries, LineIndex, Series, SeriesError, ViewLines, ViewPose, register};
 
 /// Views are taken in up to so many times the tilt that is in already, counted from the pair's middle.
@@ -34,17 +34,10 @@ impl Grown {
     pub(super) fn move_to(&mut self, pair: [ViewPose; 2]) {
         let [left, right] = [0, 1].map(|view| self.views[view].pose);
         let turn = 0.5 * (left.tilt_rad + right.tilt_rad) - 0.5 * (pair[0].tilt_rad + pair[1].tilt_rad);
-        // The new origin in the old frame: where both views show it, x = X cos a + Z sin a and y = Y.
+        // The new origin in the old frame.
         let seen =
             [(left, pair[0]), (right, pair[1])].map(|(old, new)| old.image_from_projection.inverse() * new.origin());
-        let (sines, cosines) =
-            ([left, right].map(|pose| pose.tilt_rad.sin()), [left, right].map(|pose| pose.tilt_rad.cos()));
-        let determinant = cosines[0] * sines[1] - sines[0] * cosines[1];
-        let origin = Point3::new(
-            (seen[0].x * sines[1] - seen[1].x * sines[0]) / determinant,
-            0.5 * (seen[0].y + seen[1].y),
-            (seen[1].x * cosines[0] - seen[0].x * cosines[1]) / determinant,
-        );
+        let origin = shown_by_both([left.tilt_rad, right.tilt_rad], seen);
         for view in &mut self.views {
             let FitView { pose, nominal_rad, .. } = view;
             *pose = ViewPose::new(pose.tilt_rad - turn, pose.axis_rad(), pose.scale(), pose.project(&origin));
@@ -56,6 +49,17 @@ impl Grown {
             *point = Point3::new(from.x * cos + from.z * sin, from.y, from.z * cos - from.x * sin);
         }
     }
+}
+
+/// The point that two views at different tilts show at `seen` in their projections: `x = X cos a + Z sin a`, `y = Y`.
+fn shown_by_both(tilts_rad: [f64; 2], seen: [Point2; 2]) -> Point3 {
+    let [(sin, cos), (other_sin, other_cos)] = tilts_rad.map(f64::sin_cos);
+    let determinant = cos * other_sin - sin * other_cos;
+    Point3::new(
+        (seen[0].x * other_sin - seen[1].x * sin) / determinant,
+        0.5 * (seen[0].y + seen[1].y),
+        (seen[1].x * cos - seen[0].x * other_cos) / determinant,
+    )
 }
 
 /// Fits curves to all views of a series. `pair` are the two views that the curves come from, with their poses in the curves'
@@ -120,17 +124,28 @@ pub(super) fn aligned_views(
         Some(known) => Ok(known.lines.clone()),
         None => lines_of(view).map(LineIndex::new),
     };
-    let tilt = |view: usize| series.views[view].tilt_deg.to_radians();
-    let mid = 0.5 * (tilt(pair[0].0) + tilt(pair[1].0));
-    let mut views = Vec::new();
+    let tilts: Vec<f64> = series.views.iter().map(|view| view.tilt_deg.to_radians()).collect();
+    let poses = placed(pair, &tilts, &aligned.poses);
+    let of_pair = pair.map(|(view, _)| view);
+    let others = (0..series.views.len()).filter(|view| !of_pair.contains(view));
+    of_pair.into_iter().chain(others).map(|view| Ok(FitView::new(view, poses[view], lines(view)?))).collect()
+}
+
+/// Poses of aligned views in the frame of a pair, turned and magnified as its first view. Where its origin lies in the frame of the
+/// alignment follows from where the two views of the pair show it; in the others that point moves with the tilt.
+fn placed(pair: [(usize, ViewPose); 2], tilts_rad: &[f64], aligned: &[ViewPose]) -> Vec<ViewPose> {
+    let mid = 0.5 * (tilts_rad[pair[0].0] + tilts_rad[pair[1].0]);
+    let (axis_rad, scale) = (pair[0].1.axis_rad(), pair[0].1.scale());
+    let about = |view: usize| ViewPose::new(tilts_rad[view] - mid, axis_rad, scale, aligned[view].origin());
+    let seen = pair.map(|(view, pose)| about(view).image_from_projection.inverse() * pose.origin());
+    let origin = shown_by_both(pair.map(|(view, _)| tilts_rad[view] - mid), seen);
+    let mut poses: Vec<ViewPose> = (0..tilts_rad.len())
+        .map(|view| ViewPose::new(tilts_rad[view] - mid, axis_rad, scale, about(view).project(&origin)))
+        .collect();
     for (view, pose) in pair {
-        views.push(FitView::new(view, pose, lines(view)?));
+        poses[view] = pose;
     }
-    for view in (0..series.views.len()).filter(|view| pair.iter().all(|(other, _)| other != view)) {
-        let pose = expected(view, tilt(view) - mid, &views[..2], aligned);
-        views.push(FitView::new(view, pose, lines(view)?));
-    }
-    Ok(views)
+    poses
 }
 
 /// Fits the same views again, with further curves behind those that were fitted before.
@@ -163,4 +178,33 @@ fn expected(view: usize, tilt_rad: f64, known: &[FitView], aligned: &AlignedSeri
     let off = nearest.pose.origin() - aligned.poses[nearest.view].origin();
     let pair = &known[0].pose;
     ViewPose::new(tilt_rad, pair.axis_rad(), pair.scale(), aligned.poses[view].origin() + off)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Vector2;
+
+    /// A pair whose frame has its origin far behind the point that the alignment keeps in place, and beside it: every view shows
+    /// what it would show of the same foil, far tilts too.
+    #[test]
+    fn aligned_views_are_placed_by_where_the_origin_of_the_pair_is_seen() {
+        let tilts = [-50.0_f64, -20.0, -3.0, 5.0, 30.0, 50.0].map(f64::to_radians);
+        let mid = 0.5 * (tilts[2] + tilts[3]);
+        let axis_rad = 0.3;
+        let origin = |view: usize| Point2::new(250.0, 240.0) + Vector2::new(3.0, -2.0) * view as f64;
+        let aligned: Vec<ViewPose> =
+            (0..tilts.len()).map(|view| ViewPose::new(tilts[view], axis_rad, 1.0, origin(view))).collect();
+        // In the alignment's frame; the pair's is turned by the middle of its tilts.
+        let of_pair = Point3::new(15.0, -8.0, 60.0);
+        let pose = |view: usize| ViewPose::new(tilts[view] - mid, axis_rad, 1.0, aligned[view].project(&of_pair));
+        let poses = placed([(3, pose(3)), (2, pose(2))], &tilts, &aligned);
+        for (view, found) in poses.iter().enumerate() {
+            assert!((found.origin() - pose(view).origin()).norm() < 1e-6, "{view}");
+            assert!((found.tilt_rad - pose(view).tilt_rad).abs() < 1e-12);
+        }
+        // 60 px behind: at 50 degrees 46 px to the right of where it is seen without tilt, not beside its neighbour.
+        let beside = poses[5].image_from_projection.inverse() * aligned[5].origin();
+        assert!((-beside.x - (15.0 * tilts[5].cos() + 60.0 * tilts[5].sin())).abs() < 1e-6);
+    }
 }
