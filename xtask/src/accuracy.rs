@@ -79,7 +79,7 @@ fn capital(text: &str) -> String {
 /// Runs the project's own command, as a user would.
 pub fn tiltline(arguments: &[&str], last: &Path) -> Result<()> {
     let status = Command::new(env!("CARGO"))
-        .args(["run", "--quiet", "--release", "-p", "tiltline-cli", "--"])
+        .args(["run", "--quiet", "--release", "--bin", "tiltline", "--"])
         .args(arguments)
         .arg(last)
         .current_dir(root())

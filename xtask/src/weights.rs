@@ -1,6 +1,7 @@
 //! `cargo xtask weights`: trains the shipped detector and matcher again from nothing, and puts them where the program embeds them.
 //!
-//! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`, one file a stage; data and first
+//! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`, one file a stage (the detector has
+//! two, of other data and rates); data and first
 //! weights follow from their seeds, so the first steps of the stage that begins from nothing must give the losses of the committed curve
 //! beside its settings, and that is checked.
 
@@ -20,22 +21,23 @@ const TOLERANCE: f64 = 0.05;
 
 /// Trains both networks.
 pub fn train() -> Result<()> {
-    stage("detector", None)?;
-    ship("detector")?;
-    stage("matcher", Some("target/weights/detector/last.safetensors"))?;
-    ship("matcher")
+    stage("detector", "detector", None)?;
+    stage("detector", "detector-further", Some("target/weights/detector/last.safetensors"))?;
+    ship("detector", "detector-further")?;
+    stage("matcher", "matcher", Some("target/weights/detector-further/last.safetensors"))?;
+    ship("matcher", "matcher")
 }
 
-/// One run, and the check of its beginning where it begins from nothing but seeds.
-fn stage(kind: &str, from: Option<&str>) -> Result<()> {
-    let run = format!("target/weights/{kind}");
-    let curve = format!("xtask/weights/{kind}.jsonl");
+/// The run `name` of a network, and the check of its beginning where it begins from nothing but seeds.
+fn stage(kind: &str, name: &str, from: Option<&str>) -> Result<()> {
+    let run = format!("target/weights/{name}");
+    let curve = format!("xtask/weights/{name}.jsonl");
     let expected = match from {
         Some(_) => Vec::new(),
         None => losses(&fs::read_to_string(root().join(&curve)).into_diagnostic().wrap_err_with(|| curve.clone())?)?,
     };
     let mut arguments = vec!["run", "--release", "--quiet", "-p", "tiltline-cli", "--", "train"];
-    let settings = format!("xtask/weights/{kind}.toml");
+    let settings = format!("xtask/weights/{name}.toml");
     if root().join(&run).join("train.toml").exists() {
         arguments.extend(["--resume", &run]);
     } else {
@@ -57,8 +59,8 @@ fn stage(kind: &str, from: Option<&str>) -> Result<()> {
 }
 
 /// Puts the last weights of a run where the program embeds them.
-fn ship(kind: &str) -> Result<()> {
-    let run = format!("target/weights/{kind}");
+fn ship(kind: &str, name: &str) -> Result<()> {
+    let run = format!("target/weights/{name}");
     let shipped = format!("crates/tiltline-nets/weights/{kind}.safetensors");
     let commit =
         Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root()).output().into_diagnostic()?;

@@ -5,16 +5,18 @@
 //! knows of no lines, is then the better start. The tomogram of lines tells: lines meet in it where poses are right.
 
 use super::grow::{ROUNDS, WIDE_PX, finished};
-use super::volume::{LEAST_SHARE, Volume};
+use super::volume::{ABOVE_CHANCE, Volume};
 use super::{FitSettings, FitView, Grown, Problem, StartCurve};
 use crate::series::register;
 
 /// Where lines meet less at aligned poses than by this share of what they do at the registered ones, these are right.
 const WORTH_A_TRY: f64 = 0.5;
 /// Lines must meet so much more in the end than at the registered poses.
-const CLEARLY: f64 = 1.1;
+const CLEARLY: f64 = 1.3;
 /// Poses are fitted to the lines in the tomogram, and the tomogram made anew, so often.
 const TIMES: usize = 4;
+/// Lines are so many times above chance while poses are fitted to them: more are enough to fit to than are believed in the end.
+const ABOVE_AT_FIRST: f64 = 0.75 * ABOVE_CHANCE;
 /// A view of which no more lines lie on the curves than by chance, within so many px of where it is, is left out.
 const SEARCH_PX: f64 = 3.0;
 
@@ -26,17 +28,17 @@ pub(super) fn settled(
     curves: &[StartCurve],
     settings: &FitSettings,
 ) -> (Grown, Volume, bool) {
-    let volume = Volume::new(&registered.views, &registered.curves, LEAST_SHARE);
+    let volume = Volume::new(&registered.views, &registered.curves, ABOVE_CHANCE);
     let known = &registered.curves;
-    let other = Volume::new(&aligned, known, LEAST_SHARE);
+    let other = Volume::new(&aligned, known, ABOVE_CHANCE);
     if registered.left_out.is_empty() && other.strength <= WORTH_A_TRY * volume.strength {
         return (registered, volume, false);
     }
     // Poses from the lines that all views show, faint ones too, and more lines from better poses.
     let mut problem = Problem::new(&[], aligned, settings);
     for time in 0..TIMES {
-        let share = if time + 1 < TIMES { 0.5 * LEAST_SHARE } else { LEAST_SHARE };
-        let meeting = Volume::new(&problem.views, known, share);
+        let above = if time + 1 < TIMES { ABOVE_AT_FIRST } else { ABOVE_CHANCE };
+        let meeting = Volume::new(&problem.views, known, above);
         problem = Problem::new(&meeting.curves, problem.views, settings);
         problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
     }
@@ -48,7 +50,7 @@ pub(super) fn settled(
     let pair = [0, 1].map(|place| registered.views[place].view);
     let (views, out): (Vec<FitView>, Vec<FitView>) =
         problem.views.into_iter().partition(|view| pair.contains(&view.view) || lies(view));
-    let settled = Volume::new(&views, known, LEAST_SHARE);
+    let settled = Volume::new(&views, known, ABOVE_CHANCE);
     if settled.strength <= CLEARLY * volume.strength {
         return (registered, volume, false);
     }

@@ -4,7 +4,7 @@
 //! views, small probabilities add up in one place. What looks like a line in single views only does not meet itself there.
 //! Weighted back projection takes out again what the views do not agree on.
 
-use ndarray::Array2;
+use ndarray::{Array2, Array3};
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
@@ -26,13 +26,20 @@ const MARGIN_PX: f64 = 10.0;
 const BEYOND: f64 = 0.15;
 /// Standard deviation of a line in a map of probabilities, px.
 const LINE_SIGMA_PX: f64 = 1.3;
-/// A voxel belongs to a line from this share on of the value of a line that all views are sure of.
-pub(super) const LEAST_SHARE: f64 = 0.12;
-/// With few views lines of some of them meet by chance: the share is at least this over the square of their number (with three
-/// views nothing is sure enough).
-const CHANCE: f64 = 10.0;
-/// Where views are full of lines, they meet everywhere: the share is at least so many times the root mean square of the tomogram.
-const ABOVE_NOISE: f64 = 8.0;
+/// A voxel belongs to a line from so many times the root mean square of a tomogram of chance on, of the same views where their lines
+/// do not belong together.
+pub(super) const ABOVE_CHANCE: f64 = 10.0;
+/// No more than this share of them is there by chance.
+const MOST_BY_CHANCE: f64 = 0.1;
+/// And with few views from this share on over the cube of their number (with three views nothing is sure enough): a line is long in
+/// depth where the two views of a pair meet, and any third line that crosses it there is one more by chance than chance knows of.
+const FEW: f64 = 50.0;
+/// And from this share on of the value of a line that all views are sure of, in views with next to no lines.
+const LEAST_SHARE: f64 = 0.03;
+/// Where less than this share of it is enough, a line that is seen in the views is in the tomogram.
+const DECISIVE_SHARE: f64 = 0.15;
+/// Rows of the tomogram of chance.
+const CHANCE_ROWS: usize = 128;
 /// One sigma of a curve's depth in the tomogram, voxels.
 const SIGMA_Z: f64 = 1.5;
 /// A curve and the tomogram agree within this, px.
@@ -44,28 +51,77 @@ const SHORTEST_PX: f64 = 15.0;
 pub(super) struct Volume {
     /// The curves in it, in the frame of the poses.
     pub curves: Vec<StartCurve>,
-    /// Whether there are so many views that a line that is seen in them is in the tomogram.
+    /// Whether views are so many, and show so few other lines, that a line that is seen in them is in the tomogram.
     pub is_decisive: bool,
-    /// How much there is of lines: the sum of what voxels have beyond the threshold, relative to it.
+    /// How much there is of lines: the sum of the squares of what voxels have beyond the threshold, relative to it.
     pub strength: f64,
 }
 
 impl Volume {
-    /// The tomogram of the views, about as deep as the known curves, and the curves from the share `least` on.
-    pub fn new(views: &[FitView], known: &[FittedCurve], least: f64) -> Self {
-        let is_decisive = LEAST_SHARE * (views.len() as f64).powi(2) >= 0.95 * CHANCE;
+    /// The tomogram of the views, about as deep as the known curves, and the curves that are so many times `above` chance.
+    pub fn new(views: &[FitView], known: &[FittedCurve], above: f64) -> Self {
         let mut z: Vec<f64> = known.iter().flat_map(|curve| &curve.points).map(|point| point.z).collect();
         z.sort_by(f64::total_cmp);
-        let (curves, strength) = match z[..] {
-            [] => (Vec::new(), 0.0),
+        let at = |share: f64| z[((z.len() - 1) as f64 * share) as usize];
+        match z[..] {
+            [] => Self { curves: Vec::new(), is_decisive: false, strength: 0.0 },
             _ => {
-                let at = |share: f64| z[((z.len() - 1) as f64 * share) as usize];
                 let (low, high) = (at(0.01), at(0.99));
                 let more = BEYOND * (high - low);
-                curves_of(views, [low - more, high + more], least, MOST_VOXELS)
+                Self::between(views, [low - more, high + more], above, MOST_VOXELS)
             }
+        }
+    }
+
+    /// The same between two depths, px.
+    fn between(views: &[FitView], [top, bottom]: [f64; 2], above: f64, most_voxels: f64) -> Self {
+        let none = Self { curves: Vec::new(), is_decisive: false, strength: 0.0 };
+        let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
+        let Some(first) = views.first() else { return none };
+        // The plane of projection as far as the first view shows it.
+        let (low, high) = bounds(first.lines.lines().shape, &first.pose.image_from_projection.inverse());
+        let middle_z = 0.5 * (top + bottom);
+        let size = [high.x - low.x + 1.0, high.y - low.y + 1.0, bottom - top + 2.0 * MARGIN_PX];
+        let px = (size.iter().product::<f64>() / most_voxels).cbrt().max(1.0);
+        let [width, height, depth] = size.map(|length| (length / px).ceil().max(1.0) as usize);
+        let on_grid = |view: &&FitView| {
+            // About the middle layer: what lies there moves with the tilt.
+            let shift = -low.coords - Vector2::new(middle_z * view.pose.tilt_rad.sin(), 0.0);
+            let mut map = view.pose.image_from_projection.inverse();
+            map.isometry.translation.vector += shift;
+            let map = Similarity2::from_scaling(1.0 / px) * map;
+            let mut probability = view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0);
+            if px > 1.0 {
+                probability = gaussian_blur(&probability, SHRUNK_BLUR * px);
+            }
+            let moved = resample(&probability.view(), &map, [height, width]);
+            moved.mapv_into(|value| if value.is_finite() { value } else { 0.0 })
         };
-        Self { curves, is_decisive, strength }
+        let images: Vec<Array2<f32>> = views.iter().map(on_grid).collect();
+        let tilts_rad: Vec<f64> = views.iter().map(|view| view.pose.tilt_rad).collect();
+        // A blurred line is wider and fainter.
+        let sigma_px = if px > 1.0 { LINE_SIGMA_PX.hypot(SHRUNK_BLUR * px) } else { LINE_SIGMA_PX };
+        let sure = value_of_a_line(&tilts_rad, sigma_px / px).map(|value| value * LINE_SIGMA_PX / sigma_px);
+        let geometry = Geometry { tilts_rad, width, depth, axis_column: -low.x / px };
+        // None of these exists where there are not two different tilts.
+        let chance = tomogram_of_chance(&images, &geometry);
+        let tomogram = volume(&images, &geometry, &Method::Wbp(WbpSettings::default())).ok();
+        drop(images);
+        let (Some(tomogram), Some(sure), Some(chance)) = (tomogram, sure, chance) else { return none };
+        let few = FEW / (views.len() as f64).powi(3);
+        let least = (above * rms(&chance)).max(few.max(LEAST_SHARE) * sure);
+        let Some(threshold) = beyond_chance(&tomogram, &chance, least) else { return none };
+        let share = threshold / sure;
+        let threshold = threshold as f32;
+        let strength = tomogram.iter().map(|value| f64::from((value / threshold - 1.0).max(0.0)).powi(2)).sum();
+        let found = curves(&tomogram, &geometry, threshold, &CurveSettings::default());
+        let in_frame = |point: Point3| Point3::from(point.coords * px) + Vector3::new(0.0, low.y, middle_z);
+        let start = |curve: crate::tomography::curves::VolumeCurve| StartCurve {
+            sigma_z: vec![SIGMA_Z * px; curve.points.len()],
+            points: curve.points.into_iter().map(in_frame).collect(),
+            closed: curve.closed,
+        };
+        Self { curves: found.into_iter().map(start).collect(), is_decisive: share <= DECISIVE_SHARE, strength }
     }
 
     /// For each curve the share of its points that lie on one of the tomogram.
@@ -109,52 +165,46 @@ fn is_near(tree: &Tree, point: &Point3) -> bool {
     tree.locate_within_distance([point.x, point.y, point.z], NEAR_PX * NEAR_PX).next().is_some()
 }
 
-/// Curves in the tomogram of the probabilities of all views, in the frame of the poses, between two depths, px; and its strength.
-fn curves_of(views: &[FitView], [top, bottom]: [f64; 2], least: f64, most_voxels: f64) -> (Vec<StartCurve>, f64) {
-    let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
-    let Some(first) = views.first() else { return (Vec::new(), 0.0) };
-    // The plane of projection as far as the first view shows it.
-    let (low, high) = bounds(first.lines.lines().shape, &first.pose.image_from_projection.inverse());
-    let middle_z = 0.5 * (top + bottom);
-    let size = [high.x - low.x + 1.0, high.y - low.y + 1.0, bottom - top + 2.0 * MARGIN_PX];
-    let px = (size.iter().product::<f64>() / most_voxels).cbrt().max(1.0);
-    let [width, height, depth] = size.map(|length| (length / px).ceil().max(1.0) as usize);
-    let on_grid = |view: &&FitView| {
-        // About the middle layer: what lies there moves with the tilt.
-        let shift = -low.coords - Vector2::new(middle_z * view.pose.tilt_rad.sin(), 0.0);
-        let mut map = view.pose.image_from_projection.inverse();
-        map.isometry.translation.vector += shift;
-        let map = Similarity2::from_scaling(1.0 / px) * map;
-        let mut probability = view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0);
-        if px > 1.0 {
-            probability = gaussian_blur(&probability, SHRUNK_BLUR * px);
-        }
-        let moved = resample(&probability.view(), &map, [height, width]);
-        moved.mapv_into(|value| if value.is_finite() { value } else { 0.0 })
+/// A tomogram in which lines meet by chance only: of each view rows from elsewhere, moved along them too.
+fn tomogram_of_chance(images: &[Array2<f32>], geometry: &Geometry) -> Option<Array3<f32>> {
+    // Multiples of these, without their whole part, are spread evenly and far from each other (a generalised golden ratio).
+    const STEPS: [f64; 2] = [0.754_877_666_246_69, 0.569_840_290_998_05];
+    let elsewhere = |(index, image): (usize, &Array2<f32>)| {
+        let (height, width) = image.dim();
+        let [down, right] = [(STEPS[0], height), (STEPS[1], width)]
+            .map(|(step, length)| ((index as f64 * step).fract() * length as f64) as usize);
+        let at = |(row, column): (usize, usize)| image[[(row + down) % height, (column + right) % width]];
+        Array2::from_shape_fn([CHANCE_ROWS.min(height), width], at)
     };
-    let images: Vec<Array2<f32>> = views.iter().map(on_grid).collect();
-    let tilts_rad: Vec<f64> = views.iter().map(|view| view.pose.tilt_rad).collect();
-    // A blurred line is wider and fainter.
-    let sigma_px = if px > 1.0 { LINE_SIGMA_PX.hypot(SHRUNK_BLUR * px) } else { LINE_SIGMA_PX };
-    let sure = value_of_a_line(&tilts_rad, sigma_px / px).map(|value| value * LINE_SIGMA_PX / sigma_px);
-    let geometry = Geometry { tilts_rad, width, depth, axis_column: -low.x / px };
-    // Neither exists where there are not two different tilts.
-    let tomogram = volume(&images, &geometry, &Method::Wbp(WbpSettings::default())).ok();
-    drop(images);
-    let Some((tomogram, sure)) = tomogram.zip(sure) else { return (Vec::new(), 0.0) };
+    let images: Vec<Array2<f32>> = images.iter().enumerate().map(elsewhere).collect();
+    volume(&images, geometry, &Method::Wbp(WbpSettings::default())).ok()
+}
+
+fn rms(tomogram: &Array3<f32>) -> f64 {
     let squares: f64 = tomogram.iter().map(|value| f64::from(*value).powi(2)).sum();
-    let noise = (squares / tomogram.len() as f64).sqrt() / sure;
-    let share = least.max(CHANCE / (views.len() as f64).powi(2)).max(ABOVE_NOISE * noise);
-    let threshold = (share * sure) as f32;
-    let strength = tomogram.iter().map(|value| f64::from((value / threshold - 1.0).max(0.0))).sum();
-    let found = curves(&tomogram, &geometry, threshold, &CurveSettings::default());
-    let in_frame = |point: Point3| Point3::from(point.coords * px) + Vector3::new(0.0, low.y, middle_z);
-    let start = |curve: crate::tomography::curves::VolumeCurve| StartCurve {
-        sigma_z: vec![SIGMA_Z * px; curve.points.len()],
-        points: curve.points.into_iter().map(in_frame).collect(),
-        closed: curve.closed,
+    (squares / tomogram.len() as f64).sqrt()
+}
+
+/// The lowest value from `least` on beyond which no more than [`MOST_BY_CHANCE`] of the voxels are there by chance; `None` where
+/// there is no such value.
+fn beyond_chance(tomogram: &Array3<f32>, chance: &Array3<f32>, least: f64) -> Option<f64> {
+    // Values in steps of this, as far as the largest value of a tomogram can be of interest.
+    const STEP: f64 = 1.1;
+    const STEPS: usize = 60;
+    let shares = |tomogram: &Array3<f32>| {
+        let mut counts = [0_usize; STEPS];
+        for value in tomogram.iter().filter(|value| f64::from(**value) >= least) {
+            let step = (f64::from(*value) / least).ln() / STEP.ln();
+            counts[(step as usize).min(STEPS - 1)] += 1;
+        }
+        for step in (1..STEPS).rev() {
+            counts[step - 1] += counts[step];
+        }
+        counts.map(|count| count as f64 / tomogram.len() as f64)
     };
-    (found.into_iter().map(start).collect(), strength)
+    let (real, by_chance) = (shares(tomogram), shares(chance));
+    let step = (0..STEPS).find(|&step| real[step] > 0.0 && by_chance[step] <= MOST_BY_CHANCE * real[step])?;
+    Some(least * STEP.powi(step as i32))
 }
 
 /// The value in the tomogram of a line along the tilt axis that all views are sure of.
@@ -227,9 +277,9 @@ mod tests {
         let tilts: Vec<f64> = (-8..=8).map(|step| 6.0 * f64::from(step)).collect();
         let views = views(&tilts, 0.3);
         for (most_voxels, accepted) in [(1e9, 2.0), (4e5, 4.0)] {
-            let (found, strength) = curves_of(&views, [0.0, 40.0], LEAST_SHARE, most_voxels);
-            let (worst, seen) = off(&found);
-            assert!(worst < accepted && seen > 0.9 && strength > 0.0, "{worst} {seen} {strength}");
+            let found = Volume::between(&views, [0.0, 40.0], ABOVE_CHANCE, most_voxels);
+            let (worst, seen) = off(&found.curves);
+            assert!(worst < accepted && seen > 0.9 && found.strength > 0.0, "{worst} {seen} {}", found.strength);
         }
     }
 
@@ -238,7 +288,7 @@ mod tests {
     fn with_few_views_most_must_be_sure() {
         let tilts = [-30.0, -10.0, 10.0, 30.0];
         let (sure, blind) = (views(&tilts, 1.0), views(&tilts, 0.0));
-        let found = |views: &[FitView]| off(&curves_of(views, [0.0, 40.0], LEAST_SHARE, 1e9).0).1;
+        let found = |views: &[FitView]| off(&Volume::between(views, [0.0, 40.0], ABOVE_CHANCE, 1e9).curves).1;
         assert!(found(&sure) > 0.5);
         let two: Vec<FitView> = sure[..2].iter().chain(&blind[2..]).cloned().collect();
         assert!(found(&two) < 0.01);
