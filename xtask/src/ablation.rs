@@ -69,7 +69,7 @@ pub fn measure() -> Result<()> {
     std::fs::write(root().join("docs/ablation.md"), page).into_diagnostic()
 }
 
-const TITLE_STAGES: &str = "| rectification, detector, matcher | coverage | EPE, px | bad-1, % | completeness, core | correctness, core | F, core | F, contrast |\n|---|---|---|---|---|---|---|---|\n";
+pub const TITLE_STAGES: &str = "| rectification, detector, matcher | coverage | EPE, px | bad-1, % | completeness, core | correctness, core | F, core | F, contrast |\n|---|---|---|---|---|---|---|---|\n";
 const TITLE_REFINEMENT: &str = "| refinement | coverage | EPE, px | bad-1, % | completeness, core | correctness, core | F, core | F, contrast |\n|---|---|---|---|---|---|---|---|\n";
 
 fn folder() -> Result<PathBuf> {
@@ -93,7 +93,7 @@ fn scores(name: &str, set: &str, flags: &[&str]) -> Result<Value> {
     read(&scores.join("scores.json"))
 }
 
-fn read(path: &Path) -> Result<Value> {
+pub fn read(path: &Path) -> Result<Value> {
     let text = std::fs::read_to_string(path).into_diagnostic()?;
     serde_json::from_str(&text).into_diagnostic().wrap_err_with(|| format!("in {}", path.display()))
 }
@@ -102,7 +102,7 @@ fn number(value: &Value, pointer: &str) -> Result<f64> {
     value.pointer(pointer).and_then(Value::as_f64).ok_or_else(|| miette!("scores.json has no {pointer}"))
 }
 
-fn row(page: &mut String, words: &str, scores: &Value) -> Result<()> {
+pub fn row(page: &mut String, words: &str, scores: &Value) -> Result<()> {
     let figure = |name: &str| number(scores, &format!("/summary/all/figures/{name}/value"));
     writeln!(
         page,

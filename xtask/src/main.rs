@@ -1,4 +1,4 @@
-//! The project's own chores: `cargo xtask ci|test|reference|accuracy|ablation|real|speed|weights|figures|example|web`.
+//! The project's own chores: `cargo xtask ci|test|reference|accuracy|ablation|own|real|speed|weights|figures|example|web`.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod ablation;
@@ -7,6 +7,7 @@ mod chores;
 mod example;
 mod figures;
 mod npy;
+mod own;
 mod real;
 mod reference;
 mod speed;
@@ -23,6 +24,7 @@ const USAGE: &str = "usage: cargo xtask COMMAND
   accuracy              scores the program on the fixed sets: docs/accuracy.md
   ablation              what each stage loses on the fixed sets: docs/ablation.md
   real [IMAGES]         the detector on real images labelled by hand (xtask/labels)
+  own                   what training on one's own pairs buys: docs/own-images.md
   speed                 time and memory of `tiltline reconstruct` from 512 to 4096 px
   weights               trains the shipped networks again (hours; goes on where it was stopped)
   figures               draws the pictures of docs/simulator.md again
@@ -39,6 +41,7 @@ fn main() -> Result<()> {
         Some("ablation") => ablation::measure(),
         Some("real") => real::measure(&arguments[1..]),
         Some("speed") => speed::measure(),
+        Some("own") => own::measure(),
         Some("weights") => weights::train(),
         Some("figures") => figures::draw(),
         Some("web") => web::run(&arguments[1..]),

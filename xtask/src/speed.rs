@@ -51,9 +51,9 @@ pub fn measure() -> Result<()> {
 }
 
 /// The release build of the command.
-fn built() -> Result<std::path::PathBuf> {
+pub fn built() -> Result<std::path::PathBuf> {
     let status = Command::new(env!("CARGO"))
-        .args(["build", "--quiet", "--release", "-p", "tiltline-cli"])
+        .args(["build", "--quiet", "--release", "--workspace", "--bin", "tiltline"])
         .current_dir(root())
         .status()
         .into_diagnostic()?;

@@ -36,7 +36,7 @@ fn stage(kind: &str, name: &str, from: Option<&str>) -> Result<()> {
         Some(_) => Vec::new(),
         None => losses(&fs::read_to_string(root().join(&curve)).into_diagnostic().wrap_err_with(|| curve.clone())?)?,
     };
-    let mut arguments = vec!["run", "--release", "--quiet", "-p", "tiltline-cli", "--", "train"];
+    let mut arguments = vec!["run", "--release", "--quiet", "--bin", "tiltline", "--", "train"];
     let settings = format!("xtask/weights/{name}.toml");
     if root().join(&run).join("train.toml").exists() {
         arguments.extend(["--resume", &run]);
@@ -69,7 +69,7 @@ fn ship(kind: &str, name: &str) -> Result<()> {
 }
 
 /// Whether a run has reached its last step.
-fn done(run: &Path) -> Result<bool> {
+pub fn done(run: &Path) -> Result<bool> {
     let Ok(text) = fs::read_to_string(run.join("train.toml")) else { return Ok(false) };
     let settings: toml::Table = text.parse().into_diagnostic()?;
     let steps = settings.get("steps").and_then(toml::Value::as_integer).unwrap_or(i64::MAX);

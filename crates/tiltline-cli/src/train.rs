@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use miette::{IntoDiagnostic, Result, WrapErr, miette};
 use tiltline::simulate::Family;
 use tiltline_nets::device::{Place, prepare_memory};
+use tiltline_nets::infer::Named;
 use tiltline_nets::train::{Event, MetricsLine, Run, Task, TrainSettings};
 use tiltline_nets::weights::Weights;
 
@@ -33,8 +34,9 @@ pub struct Train {
     /// Family of simulated foils to train on (several: repeat it): gan, tial, cantor, mixed. All of them without --data.
     #[arg(long, value_name = "FAMILY", value_parser = family)]
     pub simulate: Vec<Family>,
-    /// Weights to start from: a detector's, a matcher's, or both (repeat it).
-    #[arg(long, value_name = "FILE")]
+    /// Weights to start from: a detector's, a matcher's, or both (repeat it). `shipped` are those that are part of the program; without
+    /// --config, a training from them has 200 steps at a low rate.
+    #[arg(long, value_name = "FILE|shipped")]
     pub from: Vec<PathBuf>,
     /// Settings file; the train.toml of an earlier run repeats it. Flags override it.
     #[arg(long, value_name = "FILE")]
@@ -87,6 +89,9 @@ impl Device {
     }
 }
 
+/// Word for the weights that are part of the program.
+const SHIPPED: &str = "shipped";
+
 fn family(word: &str) -> Result<Family, String> {
     Family::ALL
         .into_iter()
@@ -102,9 +107,9 @@ pub fn run(flags: &Train) -> Result<()> {
         Some(folder) => Run::resume(folder, flags.steps, device).into_diagnostic()?,
         None => {
             let output = flags.output.as_deref().unwrap_or_else(|| wrong_usage("--output FOLDER is missing"));
-            let read = |path: &PathBuf| Ok((path.clone(), Weights::read(path).into_diagnostic()?));
-            let from: Vec<(PathBuf, Weights)> = flags.from.iter().map(read).collect::<Result<_>>()?;
-            Run::start(settings(flags)?, output, &from, device).into_diagnostic()?
+            let settings = settings(flags)?;
+            let from = flags.from.iter().map(|path| weights(path, settings.task)).collect::<Result<Vec<_>>>()?;
+            Run::start(settings, output, &from.concat(), device).into_diagnostic()?
         }
     };
     let folder = flags.resume.as_deref().or(flags.output.as_deref()).unwrap_or(Path::new("."));
@@ -142,6 +147,18 @@ fn described(line: &MetricsLine, steps: u64) -> String {
     format!("{:>7} / {steps} {:<10} {}  rate {:.1e}  {left}", line.step, line.kind, values.join("  "), line.rate)
 }
 
+/// The weights of a file, or those of the program that the task needs.
+fn weights(path: &Path, task: Task) -> Result<Vec<(PathBuf, Weights)>> {
+    let named = match (path == Path::new(SHIPPED), task) {
+        (false, _) => vec![Named::read(path).into_diagnostic()?],
+        (true, Task::Detector) => vec![Named::built_in_detector().into_diagnostic()?],
+        (true, Task::Matcher | Task::Joint) => {
+            vec![Named::built_in_detector().into_diagnostic()?, Named::built_in_matcher().into_diagnostic()?]
+        }
+    };
+    Ok(named.into_iter().map(|named| (named.path, named.weights)).collect())
+}
+
 /// Defaults, overridden by the settings file, overridden by flags.
 fn settings(flags: &Train) -> Result<TrainSettings> {
     let mut settings = match &flags.config {
@@ -153,6 +170,14 @@ fn settings(flags: &Train) -> Result<TrainSettings> {
                 .into_diagnostic()
                 .wrap_err_with(|| format!("in the settings file {}", path.display()))?
         }
+        // What is good already is changed little: higher rates forget it.
+        None if flags.from.iter().any(|path| path == Path::new(SHIPPED)) => TrainSettings {
+            steps: 200,
+            learning_rate: Some(2e-4),
+            warm_up: 20,
+            validate_every: 100,
+            ..TrainSettings::default()
+        },
         None => TrainSettings::default(),
     };
     match flags.task {

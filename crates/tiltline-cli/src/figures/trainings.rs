@@ -118,6 +118,17 @@ fn loss_record(work: &Work<'_>) -> Result<losses::Record> {
     })
 }
 
+/// The detector that a record was made with, and whether it is still the program's.
+fn detector_of(sha256: &str) -> Result<String> {
+    let own = Named::built_in_detector().into_diagnostic()?.weights.sha256;
+    let name = sha256.get(..16).unwrap_or(sha256);
+    Ok(if sha256 == own {
+        format!("detector {name}")
+    } else {
+        format!("made with the detector {name}, an earlier one than the program's")
+    })
+}
+
 /// Table 2, from its record.
 pub fn losses(work: &Work<'_>) -> Result<Made> {
     let heading = "Table 2: terms of the loss".to_owned();
@@ -127,13 +138,14 @@ pub fn losses(work: &Work<'_>) -> Result<Made> {
          of the terms are 1 (disparity), 1 (warp), 0.1 (variance). {} Scored on `{}` (SHA-256 {}): disparities of the dense matcher alone at all true \
          line pixels, no refinement, no free offset; {} of the set's {} pairs, the rest cannot be rectified. Intervals of all terms overlap: so few steps do \
          not separate them. The last row of each family is the matcher that is part of the program (more steps, cross-entropy \
-         instead of variance and warp). Record: `records/{LOSSES}` (version {}).",
+         instead of variance and warp). Record: `records/{LOSSES}` (version {}; {}).",
         losses::budget(&record),
         record.set,
         record.data_sha256.get(..16).unwrap_or_default(),
         record.shipped.len(),
         work.plan.pairs.items.len(),
-        record.version
+        record.version,
+        detector_of(&record.detector_sha256)?
     );
     Ok(Made { section: Section { heading, caption, body: losses::table(&record) }, files: Vec::new() })
 }
@@ -266,13 +278,14 @@ pub fn low_contrast(work: &Work<'_>) -> Result<Made> {
         "(a) An image of low contrast and (b) its true lines (grey: hidden in noise). (d) Line probability as the detector is shipped; (e) after {steps} more \
          steps of its usual training, (f) after as many with (c), one labelled pair of low contrast of another foil, in place of half of the usual examples ({} minutes of wall \
          time). (e) tells what the steps do from what the image does, which the paper's figure does not. {} Scores are \
-         those of pixels, found from the probability on from which tracing takes them for line ({}), over {} images of low contrast that are not trained on, and over the left images of `{}`. Record: `records/{LOW_CONTRAST}` (version {}).",
+         those of pixels, found from the probability on from which tracing takes them for line ({}), over {} images of low contrast that are not trained on, and over the left images of `{}`. Record: `records/{LOW_CONTRAST}` (version {}; {}).",
         minutes.join(" and "),
         low_contrast::verdict(&record),
         work.config.settings.trace.low,
         looked_at.len(),
         record.others,
-        record.version
+        record.version,
+        detector_of(&record.states[0].weights_sha256)?
     );
     let body = format!(
         "{}\n{}",

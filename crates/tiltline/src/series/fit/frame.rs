@@ -30,7 +30,7 @@ const CONFIRMED: f64 = 0.5;
 const LEAST_UNCONFIRMED: f64 = 0.8;
 const LEAST_OF_USUAL_UNCONFIRMED: f64 = 1.2;
 /// Curves of the tomogram must be found in this share: faint lines are in it that hardly any view shows by itself.
-const LEAST_OF_TOMOGRAM: f64 = 0.3;
+const LEAST_OF_TOMOGRAM: f64 = 0.1;
 /// So many views beside the pair are needed to say so.
 const LEAST_OTHERS: usize = 3;
 /// Points on lines of so many views are measured.
@@ -341,7 +341,7 @@ mod tests {
         assert_eq!(kept(&grown(well_found(), 9), &[1.0, 1.0, 1.0, 0.0], &decisive), [0, 2]);
         // Behind those of the pair: of the tomogram.
         assert_eq!(kept(&grown(well_found(), 9), &[1.0], &decisive), [0, 1, 2, 3]);
-        assert_eq!(kept(&grown(vec![curve(0.9, 100), curve(0.29, 20)], 9), &[1.0], &decisive), [0]);
+        assert_eq!(kept(&grown(vec![curve(0.9, 100), curve(0.09, 20)], 9), &[1.0], &decisive), [0]);
         // Too few views to say so.
         assert_eq!(kept(&grown(well_found(), 4), &[0.0; 4], &silent), [0, 1, 2, 3]);
         let badly_found = vec![curve(0.3, 100), curve(0.1, 20), curve(0.4, 60), curve(0.2, 30)];
