@@ -35,7 +35,7 @@ const MOST_BY_CHANCE: f64 = 0.1;
 /// depth where the two views of a pair meet, and any third line that crosses it there is one more by chance than chance knows of.
 const FEW: f64 = 50.0;
 /// And from this share on of the value of a line that all views are sure of, in views with next to no lines.
-const LEAST_SHARE: f64 = 0.03;
+const LEAST_SHARE: f64 = 0.075;
 /// Where less than this share of it is enough, a line that is seen in the views is in the tomogram.
 const DECISIVE_SHARE: f64 = 0.15;
 /// Rows of the tomogram of chance.
@@ -58,7 +58,8 @@ pub(super) struct Volume {
 }
 
 impl Volume {
-    /// The tomogram of the views, about as deep as the known curves, and the curves that are so many times `above` chance.
+    /// The tomogram of the views, about as deep as the known curves, and the curves in it whose voxels are `above` times the root mean square
+    /// of chance.
     pub fn new(views: &[FitView], known: &[FittedCurve], above: f64) -> Self {
         let mut z: Vec<f64> = known.iter().flat_map(|curve| &curve.points).map(|point| point.z).collect();
         z.sort_by(f64::total_cmp);
@@ -223,6 +224,9 @@ fn value_of_a_line(tilts_rad: &[f64], sigma_px: f64) -> Option<f64> {
 mod tests {
     use std::sync::Arc;
 
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
     use super::*;
     use crate::curve::TraceGraph;
     use crate::series::{LineIndex, ViewLines, ViewPose};
@@ -281,6 +285,31 @@ mod tests {
             let (worst, seen) = off(&found.curves);
             assert!(worst < accepted && seen > 0.9 && found.strength > 0.0, "{worst} {seen} {}", found.strength);
         }
+    }
+
+    /// Views full of lines that have nothing to do with each other: what meets there meets by chance. One more line, which all of them
+    /// show, is found among them.
+    #[test]
+    fn what_meets_by_chance_is_not_found() {
+        let tilts: Vec<f64> = (-8..=8).map(|step| 6.0 * f64::from(step)).collect();
+        let mut rng = Pcg64::seed_from_u64(1);
+        let crowded = |views: Vec<FitView>, rng: &mut Pcg64| -> Vec<FitView> {
+            let with_more = |view: FitView| {
+                let mut at = || Point2::new(rng.random_range(0.0..150.0), rng.random_range(0.0..160.0));
+                let others: Vec<Vec<Point2>> = (0..12).map(|_| vec![at(), at()]).collect();
+                let others = union_of_profiles(SHAPE, &others, LINE_SIGMA_PX);
+                let mut both = view.lines.lines().probability.as_ref().clone();
+                both.zip_mut_with(&others, |value, other| *value = (*value).max((255.0 * other) as u8));
+                let lines = ViewLines { probability: Arc::new(both), ..ViewLines::new(TraceGraph::default(), SHAPE) };
+                FitView::new(view.view, view.pose, LineIndex::new(lines))
+            };
+            views.into_iter().map(with_more).collect()
+        };
+        let length = |found: &Volume| found.curves.iter().map(|curve| curve.points.len()).sum::<usize>();
+        let without = Volume::between(&crowded(views(&tilts, 0.0), &mut rng), [0.0, 40.0], ABOVE_CHANCE, 1e9);
+        let with = Volume::between(&crowded(views(&tilts, 1.0), &mut rng), [0.0, 40.0], ABOVE_CHANCE, 1e9);
+        assert!(off(&with.curves).1 > 0.8, "{}", off(&with.curves).1);
+        assert!(10 * length(&without) < length(&with), "{} {}", length(&without), length(&with));
     }
 
     /// Lines of two of four views meet somewhere, whatever they are.
