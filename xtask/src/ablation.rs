@@ -43,7 +43,7 @@ const ANGLES: &str = "bench-angles";
 pub fn measure() -> Result<()> {
     let mut page = INTRODUCTION.to_owned() + FINDINGS;
     for set in SETS {
-        write!(page, "\n## Stages, {set}\n\n{TITLE_STAGES}").into_diagnostic()?;
+        write!(page, "\n## Stages, {set}\n\n{}", titles("rectification, detector, matcher")).into_diagnostic()?;
         for (words, flags) in STAGES {
             let name = words.split(" (").next().unwrap_or(words).replace(", ", "-");
             row(&mut page, words, &scores(&name, set, flags)?)?;
@@ -56,7 +56,7 @@ pub fn measure() -> Result<()> {
         refined.push((method, config.to_string_lossy().into_owned()));
     }
     for set in SETS {
-        write!(page, "\n## Refinement, {set}\n\n{TITLE_REFINEMENT}").into_diagnostic()?;
+        write!(page, "\n## Refinement, {set}\n\n{}", titles("refinement")).into_diagnostic()?;
         for (method, config) in &refined {
             row(&mut page, method, &scores(method, set, &["--config", config])?)?;
         }
@@ -69,8 +69,12 @@ pub fn measure() -> Result<()> {
     std::fs::write(root().join("docs/ablation.md"), page).into_diagnostic()
 }
 
-pub const TITLE_STAGES: &str = "| rectification, detector, matcher | coverage | EPE, px | bad-1, % | completeness, core | correctness, core | F, core | F, contrast |\n|---|---|---|---|---|---|---|---|\n";
-const TITLE_REFINEMENT: &str = "| refinement | coverage | EPE, px | bad-1, % | completeness, core | correctness, core | F, core | F, contrast |\n|---|---|---|---|---|---|---|---|\n";
+/// The head of a table of scores.
+pub fn titles(first: &str) -> String {
+    format!(
+        "| {first} | coverage | EPE, px | bad-1, % | completeness, core | correctness, core | F, core | F, contrast |\n|---|---|---|---|---|---|---|---|\n"
+    )
+}
 
 fn folder() -> Result<PathBuf> {
     let folder = root().join("target/ablation");
@@ -93,6 +97,7 @@ fn scores(name: &str, set: &str, flags: &[&str]) -> Result<Value> {
     read(&scores.join("scores.json"))
 }
 
+/// The scores of a folder that `tiltline score` wrote.
 pub fn read(path: &Path) -> Result<Value> {
     let text = std::fs::read_to_string(path).into_diagnostic()?;
     serde_json::from_str(&text).into_diagnostic().wrap_err_with(|| format!("in {}", path.display()))
@@ -102,6 +107,7 @@ fn number(value: &Value, pointer: &str) -> Result<f64> {
     value.pointer(pointer).and_then(Value::as_f64).ok_or_else(|| miette!("scores.json has no {pointer}"))
 }
 
+/// A row of such a table.
 pub fn row(page: &mut String, words: &str, scores: &Value) -> Result<()> {
     let figure = |name: &str| number(scores, &format!("/summary/all/figures/{name}/value"));
     writeln!(

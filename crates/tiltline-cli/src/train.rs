@@ -34,8 +34,8 @@ pub struct Train {
     /// Family of simulated foils to train on (several: repeat it): gan, tial, cantor, mixed. All of them without --data.
     #[arg(long, value_name = "FAMILY", value_parser = family)]
     pub simulate: Vec<Family>,
-    /// Weights to start from: a detector's, a matcher's, or both (repeat it). `shipped` are those that are part of the program; without
-    /// --config, a training from them has 200 steps at a low rate.
+    /// Weights to start from: a detector's, a matcher's, or both (repeat it). `shipped` are those that are part of the program, where no
+    /// file gives the network; without --config, a training from them has 200 steps at a low rate.
     #[arg(long, value_name = "FILE|shipped")]
     pub from: Vec<PathBuf>,
     /// Settings file; the train.toml of an earlier run repeats it. Flags override it.
@@ -108,8 +108,8 @@ pub fn run(flags: &Train) -> Result<()> {
         None => {
             let output = flags.output.as_deref().unwrap_or_else(|| wrong_usage("--output FOLDER is missing"));
             let settings = settings(flags)?;
-            let from = flags.from.iter().map(|path| weights(path, settings.task)).collect::<Result<Vec<_>>>()?;
-            Run::start(settings, output, &from.concat(), device).into_diagnostic()?
+            let from = weights(&flags.from, settings.task)?;
+            Run::start(settings, output, &from, device).into_diagnostic()?
         }
     };
     let folder = flags.resume.as_deref().or(flags.output.as_deref()).unwrap_or(Path::new("."));
@@ -147,16 +147,20 @@ fn described(line: &MetricsLine, steps: u64) -> String {
     format!("{:>7} / {steps} {:<10} {}  rate {:.1e}  {left}", line.step, line.kind, values.join("  "), line.rate)
 }
 
-/// The weights of a file, or those of the program that the task needs.
-fn weights(path: &Path, task: Task) -> Result<Vec<(PathBuf, Weights)>> {
-    let named = match (path == Path::new(SHIPPED), task) {
-        (false, _) => vec![Named::read(path).into_diagnostic()?],
-        (true, Task::Detector) => vec![Named::built_in_detector().into_diagnostic()?],
-        (true, Task::Matcher | Task::Joint) => {
-            vec![Named::built_in_detector().into_diagnostic()?, Named::built_in_matcher().into_diagnostic()?]
+/// The weights of files, and those of the program for what the task needs and no file gives.
+fn weights(from: &[PathBuf], task: Task) -> Result<Vec<(PathBuf, Weights)>> {
+    let (shipped, files): (Vec<&PathBuf>, Vec<&PathBuf>) = from.iter().partition(|path| *path == Path::new(SHIPPED));
+    let mut all = files.into_iter().map(|path| Named::read(path).into_diagnostic()).collect::<Result<Vec<_>>>()?;
+    if !shipped.is_empty() {
+        let mut own = vec![Named::built_in_detector().into_diagnostic()?];
+        if task != Task::Detector {
+            own.push(Named::built_in_matcher().into_diagnostic()?);
         }
-    };
-    Ok(named.into_iter().map(|named| (named.path, named.weights)).collect())
+        let given: Vec<&str> = all.iter().map(|named| named.weights.network.word()).collect();
+        own.retain(|named| !given.contains(&named.weights.network.word()));
+        all.extend(own);
+    }
+    Ok(all.into_iter().map(|named| (named.path, named.weights)).collect())
 }
 
 /// Defaults, overridden by the settings file, overridden by flags.
@@ -173,7 +177,7 @@ fn settings(flags: &Train) -> Result<TrainSettings> {
         // What is good already is changed little: higher rates forget it.
         None if flags.from.iter().any(|path| path == Path::new(SHIPPED)) => TrainSettings {
             steps: 200,
-            learning_rate: Some(2e-4),
+            learning_rate: Some(if matches!(flags.task, Some(What::Detector)) { 2e-4 } else { 1e-4 }),
             warm_up: 20,
             validate_every: 100,
             ..TrainSettings::default()

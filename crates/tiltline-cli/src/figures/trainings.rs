@@ -125,7 +125,7 @@ fn detector_of(sha256: &str) -> Result<String> {
     Ok(if sha256 == own {
         format!("detector {name}")
     } else {
-        format!("made with the detector {name}, an earlier one than the program's")
+        format!("with the detector {name}, another than the program's now")
     })
 }
 
@@ -250,6 +250,8 @@ pub fn low_contrast(work: &Work<'_>) -> Result<Made> {
             folder.join(LOW_CONTRAST).display()
         ));
     }
+    let shipped =
+        record.states.first().ok_or_else(|| miette!("{LOW_CONTRAST} has no detector: make it again with --retrain"))?;
     let looked_at = looked_at(&foils);
     let shown = looked_at.first().ok_or_else(|| miette!("no image of low contrast is looked at"))?;
     let added = foils.manifest.items.iter().find(|item| item.split == Split::Train);
@@ -285,7 +287,7 @@ pub fn low_contrast(work: &Work<'_>) -> Result<Made> {
         looked_at.len(),
         record.others,
         record.version,
-        detector_of(&record.states[0].weights_sha256)?
+        detector_of(&shipped.weights_sha256)?
     );
     let body = format!(
         "{}\n{}",

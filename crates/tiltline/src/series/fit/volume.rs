@@ -31,10 +31,11 @@ const LINE_SIGMA_PX: f64 = 1.3;
 pub(super) const ABOVE_CHANCE: f64 = 10.0;
 /// No more than this share of them is there by chance.
 const MOST_BY_CHANCE: f64 = 0.1;
-/// And with few views from this share on over the cube of their number (with three views nothing is sure enough): a line is long in
-/// depth where the two views of a pair meet, and any third line that crosses it there is one more by chance than chance knows of.
+/// And with n views from this over n^3 on of the value of a line that all views are sure of (with three views nothing is sure enough):
+/// where the two near views of a pair meet a line is long in depth, and is crossed there more often than the views of the tomogram of
+/// chance, which have no pair among them, cross each other.
 const FEW: f64 = 50.0;
-/// And from this share on of the value of a line that all views are sure of, in views with next to no lines.
+/// And from this share of that value on, in views with next to no lines.
 const LEAST_SHARE: f64 = 0.075;
 /// Where less than this share of it is enough, a line that is seen in the views is in the tomogram.
 const DECISIVE_SHARE: f64 = 0.15;
@@ -74,7 +75,7 @@ impl Volume {
         }
     }
 
-    /// The same between two depths, px.
+    /// The tomogram of the views between two depths, px, and the curves in it; see [`Volume::new`].
     fn between(views: &[FitView], [top, bottom]: [f64; 2], above: f64, most_voxels: f64) -> Self {
         let none = Self { curves: Vec::new(), is_decisive: false, strength: 0.0 };
         let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
@@ -312,6 +313,20 @@ mod tests {
         assert!(10 * length(&without) < length(&with), "{} {}", length(&without), length(&with));
     }
 
+    /// The threshold is the least one where chance has next to nothing above it, and higher where it has; there is none where chance
+    /// has as much everywhere.
+    #[test]
+    fn the_threshold_is_where_little_is_there_by_chance() {
+        let of =
+            |values: &[f32]| Array3::from_shape_fn([1, 1, 1000], |(_, _, at)| values.get(at).copied().unwrap_or(0.0));
+        let real = of(&[[2.0; 20], [5.0; 20]].concat());
+        assert_eq!(beyond_chance(&real, &of(&[]), 1.0), Some(1.0));
+        let higher = beyond_chance(&real, &of(&[2.0; 20]), 1.0).unwrap();
+        assert!((2.0..=5.0).contains(&higher), "{higher}");
+        assert_eq!(beyond_chance(&real, &real, 1.0), None);
+        assert_eq!(beyond_chance(&of(&[]), &of(&[]), 1.0), None);
+    }
+
     /// Lines of two of four views meet somewhere, whatever they are.
     #[test]
     fn with_few_views_most_must_be_sure() {
@@ -321,7 +336,7 @@ mod tests {
         assert!(found(&sure) > 0.5);
         let two: Vec<FitView> = sure[..2].iter().chain(&blind[2..]).cloned().collect();
         assert!(found(&two) < 0.01);
-        assert!(found(&[]) < 0.01);
+        assert!(found(&[]) < 0.01 && found(&sure[1..]) < 0.01);
     }
 
     /// Curves in the tomogram are confirmed, and are not new beside it; others are neither.
