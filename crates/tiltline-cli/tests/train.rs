@@ -25,7 +25,7 @@ levels = 8
 families = ['gan']
 physics = 0.0
 simulated_px = 96
-crop_px = 48
+crop_px = 64
 batch = 2
 ";
 
@@ -82,6 +82,21 @@ fn a_detector_and_a_matcher_are_trained_resumed_and_used() {
     reconstruct.assert().success();
     let record = fs::read_to_string(here.join("out/run.toml")).unwrap();
     assert!(record.contains("matcher = \"net ") && record.contains("detector = \"ridge\""), "{record}");
+}
+
+/// `shipped` is what no file gives: all that the task needs, or the matcher beside a detector of one's own.
+#[test]
+fn training_goes_on_from_the_weights_of_the_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let settings = |run: &str| fs::read_to_string(here.join(run).join("train.toml")).unwrap();
+    train(here, &["detector", "--steps", "1", "--from", "shipped", "-o", "shipped"]).assert().success();
+    assert!(settings("shipped").contains("[detector]\nchannels = 10\ndepth = 5\n"), "{}", settings("shipped"));
+    train(here, &["detector", "--steps", "1", "-o", "own"]).assert().success();
+    let both = ["matcher", "--steps", "1", "--from", "shipped", "--from", "own/last.safetensors", "-o", "both"];
+    train(here, &both).assert().success();
+    assert!(settings("both").contains("[detector]\nchannels = 3\ndepth = 2\n"), "{}", settings("both"));
+    assert!(settings("both").contains("features = 32\n"), "{}", settings("both"));
 }
 
 #[test]
