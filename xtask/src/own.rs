@@ -13,7 +13,8 @@ use crate::weights::done;
 const INTRODUCTION: &str = "# Training on one's own images
 
 Made by `cargo xtask own`: a simulated microscope whose settings the networks never saw (`xtask/own/microscope.toml`: bright lines on strong texture, blurred, few
-electrons; family `gan`, drawn, 512 px, 8 degrees), from which a user has 1, 3 or 10 labelled pairs (seed 306; each number contains the lower one) or ten without labels. Scores on 12
+electrons; family `gan`, drawn, 512 px, 8 degrees), from which a user has 1, 3 or 10 labelled pairs (seed 306, the fifth that was tried: of others some
+pairs cannot be rectified; each number contains the lower one) or ten without labels. Scores on 12
 other pairs (seed 302), end to end as in [accuracy.md](accuracy.md).
 
 ";
