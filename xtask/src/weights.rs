@@ -1,9 +1,8 @@
 //! `cargo xtask weights`: trains the shipped detector and matcher again from nothing, and puts them where the program embeds them.
 //!
 //! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`, one file a stage (the detector has
-//! two, of other data and rates); data and first
-//! weights follow from their seeds, so the first steps of the stage that begins from nothing must give the losses of the committed curve
-//! beside its settings, and that is checked.
+//! two, of other data and rates); data and first weights follow from their seeds, so the first steps of the stage that begins from
+//! nothing must give the losses of the committed curve beside its settings, and that is checked.
 
 use std::fs;
 use std::path::Path;

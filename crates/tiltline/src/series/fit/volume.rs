@@ -35,7 +35,7 @@ const MOST_BY_CHANCE: f64 = 0.1;
 /// where the two near views of a pair meet a line is long in depth, and is crossed there more often than the views of the tomogram of
 /// chance, which have no pair among them, cross each other.
 const FEW: f64 = 50.0;
-/// And from this share of that value on, in views with next to no lines.
+/// And from this share of that value on: with many views next to nothing is there by chance, but what is no line and lies in all of them.
 const LEAST_SHARE: f64 = 0.075;
 /// Where less than this share of it is enough, a line that is seen in the views is in the tomogram.
 const DECISIVE_SHARE: f64 = 0.15;
