@@ -1,7 +1,7 @@
 //! `cargo xtask weights`: trains the shipped detector and matcher again from nothing, and puts them where the program embeds them.
 //!
 //! Runs are in `target/weights` and go on where they were stopped. Settings are in `xtask/weights`, one file a stage (the detector has
-//! two, of other data and rates); data and first weights follow from their seeds, so the first steps of the stage that begins from
+//! four, of other data and rates); data and first weights follow from their seeds, so the first steps of the stage that begins from
 //! nothing must give the losses of the committed curve beside its settings, and that is checked.
 
 use std::fs;
@@ -22,8 +22,10 @@ const TOLERANCE: f64 = 0.05;
 pub fn train() -> Result<()> {
     stage("detector", "detector", None)?;
     stage("detector", "detector-further", Some("target/weights/detector/last.safetensors"))?;
-    ship("detector", "detector-further")?;
-    stage("matcher", "matcher", Some("target/weights/detector-further/last.safetensors"))?;
+    stage("detector", "detector-faults", Some("target/weights/detector-further/last.safetensors"))?;
+    stage("detector", "detector-last", Some("target/weights/detector-faults/last.safetensors"))?;
+    ship("detector", "detector-last")?;
+    stage("matcher", "matcher", Some("target/weights/detector-last/last.safetensors"))?;
     ship("matcher", "matcher")
 }
 

@@ -122,8 +122,12 @@ pub fn run(flags: &Train) -> Result<()> {
     }
     let stop = interrupt::ask_to_stop();
     let mut report = |event: &Event<'_>| {
-        if let (Event::Line { line, steps }, false) = (event, flags.verbosity.quiet) {
-            eprintln!("{}", described(line, *steps));
+        match event {
+            Event::LeftOut(folder) => {
+                eprintln!("warning: {} is left out: its views cannot be rectified", folder.display());
+            }
+            Event::Line { line, steps } if !flags.verbosity.quiet => eprintln!("{}", described(line, *steps)),
+            _ => (),
         }
         !stop.load(Ordering::Relaxed)
     };

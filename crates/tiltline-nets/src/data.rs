@@ -50,6 +50,8 @@ pub struct DataSettings {
     pub physics: f64,
     /// How much more of what is not a line (boundaries, lamellae, slip traces, dirt) there is than the families have.
     pub clutter: f64,
+    /// Mean number of families of planar faults with fringes in a simulated pair; the families have none of their own.
+    pub faults: f64,
     /// Side of a simulated image, px.
     pub simulated_px: usize,
     /// Smallest and largest angle between the views of a simulated pair, degrees.
@@ -80,6 +82,7 @@ impl Default for DataSettings {
             families: vec![Family::Mixed, Family::Gan, Family::Tial, Family::Cantor],
             physics: 0.12,
             clutter: 1.8,
+            faults: 0.35,
             simulated_px: 512,
             phi_deg: [2.0, 12.0],
             mid_tilt_deg: 15.0,
@@ -111,6 +114,14 @@ pub enum DataError {
         item: PathBuf,
         /// Why.
         why: String,
+    },
+    /// Pairs without a common geometry, and nothing else to learn from.
+    #[error("{count} of the {of} pairs cannot be rectified, and no other was found to train a matcher on")]
+    NotRectified {
+        /// How many there are.
+        count: usize,
+        /// Among so many.
+        of: usize,
     },
     /// A setting that is not possible.
     #[error("{name} is {value}; it must be {wanted}")]
@@ -179,6 +190,8 @@ pub struct Source {
     split: Split,
     items: Vec<(usize, Item)>,
     sets: Vec<Dataset>,
+    /// Folders of pairs that no matcher can learn from, in the order in which that was seen.
+    left_out: Mutex<Vec<PathBuf>>,
     cache: Mutex<Vec<(u64, Made)>>,
 }
 
@@ -203,8 +216,13 @@ impl Source {
             let value = format!("{} folders without an item of the split {}", sets.len(), split.word());
             return Err(DataError::Setting { name: "folders", value, wanted: "folders with such items" });
         }
-        let (settings, cache) = (settings.clone(), Mutex::new(Vec::new()));
-        Ok(Self { settings, task, seed: seed % MOST_SEED, split, items, sets, cache })
+        let (settings, cache, left_out) = (settings.clone(), Mutex::default(), Mutex::default());
+        Ok(Self { settings, task, seed: seed % MOST_SEED, split, items, sets, left_out, cache })
+    }
+
+    /// Folders of the pairs that were left out so far, since they cannot be rectified.
+    pub fn left_out(&self) -> Vec<PathBuf> {
+        self.left_out.lock().expect("no thread panics while it holds the lock").clone()
     }
 
     /// The batch of a step.
@@ -260,10 +278,34 @@ impl Source {
         let mut rng = self.rng(2, number);
         let share = if self.settings.families.is_empty() { 1.0 } else { self.settings.folder_share };
         if !self.items.is_empty() && rng.random_range(0.0..1.0) < share {
-            let (set, item) = &self.items[rng.random_range(0..self.items.len())];
-            return Example::of_item(&self.sets[*set], item, self.task);
+            return self.of_an_item(&mut rng);
         }
         Example::simulated(&self.settings, (self.seed << 32) | number, self.split, &mut rng)
+    }
+}
+
+/// A training ends where so many pairs in turn cannot be rectified.
+const TRIES: usize = 100;
+
+impl Source {
+    /// One of the items that can be used, at random.
+    fn of_an_item(&self, rng: &mut Pcg64) -> Result<Example, DataError> {
+        for _ in 0..TRIES {
+            let (set, item) = &self.items[rng.random_range(0..self.items.len())];
+            let set = &self.sets[*set];
+            let folder = set.folder.join(&item.name);
+            if self.left_out().contains(&folder) {
+                continue;
+            }
+            if let Some(example) = Example::of_item(set, item, self.task)? {
+                return Ok(example);
+            }
+            let mut left_out = self.left_out.lock().expect("no thread panics while it holds the lock");
+            if !left_out.contains(&folder) {
+                left_out.push(folder);
+            }
+        }
+        Err(DataError::NotRectified { count: self.left_out().len(), of: self.items.len() })
     }
 }
 
@@ -292,6 +334,9 @@ impl DataSettings {
         }
         if !(0.0..=10.0).contains(&self.clutter) {
             return wrong("clutter", self.clutter.to_string(), "0 to 10");
+        }
+        if !(0.0..=10.0).contains(&self.faults) {
+            return wrong("faults", self.faults.to_string(), "0 to 10");
         }
         if !share(self.folder_share) {
             return wrong("folder_share", self.folder_share.to_string(), "0 to 1");

@@ -89,6 +89,7 @@ pub fn loss_settings([disparity, warp, variance]: [f64; 3], budget: &Budget) -> 
         data: DataSettings {
             physics: 0.05,
             clutter: 0.6,
+            faults: 0.0,
             crop_px: budget.loss_crop_px,
             simulated_px: budget.simulated_px,
             batch: 2,

@@ -184,6 +184,8 @@ pub enum Event<'a> {
         /// Steps in all.
         steps: u64,
     },
+    /// A pair of the data cannot be rectified and is left out; its folder.
+    LeftOut(&'a Path),
     /// A step was done.
     Step,
     /// A checkpoint was written.
@@ -341,10 +343,15 @@ impl Run {
         let validation = validation(data, task, self.settings.validation_count)?;
         let mut queue = Queue::start(data, task, seed, self.progress.step)?;
         let mut sums: BTreeMap<String, (f64, u64)> = BTreeMap::new();
+        let mut told = 0;
         let start = Instant::now();
         let before = self.progress.seconds;
         while self.progress.step < self.settings.steps {
             let batch = queue.next_batch()?;
+            for folder in queue.left_out().iter().skip(told) {
+                report(&Event::LeftOut(folder));
+                told += 1;
+            }
             let rate = self.rate();
             for (name, value) in self.learn(&batch, rate)? {
                 let sum = sums.entry(name.to_owned()).or_default();

@@ -62,6 +62,7 @@ impl Example {
             *mean *= settings.clutter;
         }
         look.debris *= settings.clutter;
+        look.faults = settings.faults;
         let simulate = SimulateSettings {
             mode: if physics { Mode::Physics } else { Mode::Parametric },
             size_px: settings.simulated_px,
@@ -83,13 +84,12 @@ impl Example {
     }
 
     /// An item of a data set, rectified as the main job does it. Where that cannot be done, a detector, which needs no pair, is taught on
-    /// the images as they were recorded.
-    pub(super) fn of_item(set: &Dataset, item: &Item, task: Task) -> Result<Self, DataError> {
+    /// the images as they were recorded, and a matcher has `None`.
+    pub(super) fn of_item(set: &Dataset, item: &Item, task: Task) -> Result<Option<Self>, DataError> {
         let (truth, pair) = read_item(set, item)?;
         match Self::rectified(set, item, &truth, &pair)? {
-            Some(example) => Ok(example),
-            None if task == Task::Detector => Ok(Self::as_recorded(&truth, &pair, item)),
-            None => Err(wrong(set, item, "it cannot be rectified".into())),
+            None if task == Task::Detector => Ok(Some(Self::as_recorded(&truth, &pair, item))),
+            example => Ok(example),
         }
     }
 

@@ -1,5 +1,6 @@
 //! Batches prepared on spare threads, handed over in the order of their steps.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -16,6 +17,7 @@ const AHEAD: usize = 4;
 pub struct Queue {
     batches: Vec<Receiver<Result<Batch, DataError>>>,
     next: usize,
+    source: Arc<Source>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -37,7 +39,12 @@ impl Queue {
             threads.push(spawn(move || fill(&source, &sender, steps, &stop)));
             batches.push(receiver);
         }
-        Ok(Self { batches, next: 0, stop, threads })
+        Ok(Self { batches, next: 0, source, stop, threads })
+    }
+
+    /// Folders of the pairs that were left out so far, since they cannot be rectified.
+    pub fn left_out(&self) -> Vec<PathBuf> {
+        self.source.left_out()
     }
 
     /// The next batch.

@@ -211,5 +211,15 @@ fn pairs_that_cannot_be_rectified_teach_detectors_only() {
     let batch = source(Task::Detector).batch(0).unwrap();
     assert!(batch.left.iter().all(|value| value.is_finite()));
     let error = source(Task::Matcher).batch(0).unwrap_err().to_string();
-    assert!(error.contains("rectified"), "{error}");
+    assert!(error.contains("1 of the 1 pairs cannot be rectified"), "{error}");
+    // Beside one that can be it is left out.
+    let mut plan = tiltline::figures::low_contrast::foils(192);
+    plan.items.truncate(1);
+    let other = folder.path().join("other");
+    tiltline::dataset::make(&plan, tiltline::simulate::Lines::Random, &other, &|_, _| true).unwrap();
+    let bad = settings.folders[0].join(&set.manifest.items[0].name);
+    let settings = DataSettings { folders: vec![settings.folders[0].clone(), other], ..settings };
+    let source = Source::new(&settings, Task::Matcher, 1, Split::Train).unwrap();
+    (0..20).for_each(|step| assert_eq!(source.batch(step).unwrap().count, 1));
+    assert_eq!(source.left_out(), [bad]);
 }

@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 pub use angles::{Coverage, coverage, evenly_spaced};
 pub use error::TomographyError;
 pub use sirt::SirtSettings;
-pub use slabs::{Slab, reconstruct, volume};
+pub use slabs::{Slab, projections, reconstruct, volume};
 pub use wbp::{Filter, WbpSettings};
 
 /// Views and volume about one tilt axis.

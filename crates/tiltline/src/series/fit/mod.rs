@@ -7,7 +7,9 @@
 //! [`grow`] starts from a pair and takes in views by and by; [`volume`] adds the lines that only all views together show, and
 //! [`settle`] finds poses by them where the pair's curves are wrong.
 
+mod consensus;
 mod frame;
+mod grid;
 mod grow;
 mod observe;
 mod settle;
@@ -26,7 +28,7 @@ use serde::{Deserialize, Serialize};
 use super::{LineIndex, ViewPose};
 use crate::geometry::{Point3, Vector3};
 use observe::{Noise, Sampled, observe};
-use solve::{CurveProblem, PER_VIEW, Prior, Step};
+use solve::{CurveProblem, Observation, PER_VIEW, Prior, Step};
 use spline::{Basis, Spline};
 
 /// Settings of the fit to all views.
@@ -68,6 +70,9 @@ const MEAN_TILT_SIGMA_DEG: f64 = 1e-3;
 const SHIFT_SIGMA_PX: f64 = 50.0;
 /// A step of a round is cut to this, px.
 const MOST_STEP_PX: f64 = 6.0;
+
+/// Depths from the pair are held with so many times their sigma.
+const HELD_SIGMAS: f64 = 2.0;
 
 /// A curve that the fit starts from.
 #[derive(Clone, Debug, PartialEq)]
@@ -123,6 +128,15 @@ impl FittedCurve {
     }
 }
 
+/// A depth that is known from elsewhere than the lines.
+struct KnownDepth {
+    place: spline::Weights,
+    z: f64,
+    sigma: f64,
+    /// Share of it that is independent of its neighbours.
+    share: f64,
+}
+
 /// Curves and poses while they are fitted.
 struct Problem {
     splines: Vec<Sampled>,
@@ -130,6 +144,8 @@ struct Problem {
     /// The poses that the priors of turn and magnification are about.
     start: Vec<ViewPose>,
     noise: Vec<Noise>,
+    /// Depths that are known beforehand, for each curve.
+    depths: Vec<Vec<KnownDepth>>,
     /// Equations of the last round.
     step: Option<Step>,
 }
@@ -138,7 +154,42 @@ impl Problem {
     fn new(curves: &[StartCurve], views: Vec<FitView>, settings: &FitSettings) -> Self {
         let splines = curves.iter().map(|curve| sampled(curve, settings.roughness)).collect();
         let noise = vec![Noise::default(); views.len()];
-        Self { splines, start: views.iter().map(|view| view.pose).collect(), views, noise, step: None }
+        let start = views.iter().map(|view| view.pose).collect();
+        Self { splines, start, views, noise, depths: Vec::new(), step: None }
+    }
+
+    /// Holds curves to the depths that they start with, as far as these are known. What they are known from are the lines of the pair,
+    /// which are seen by the fit as well: sigma is taken for larger than it is.
+    fn hold_depths(&mut self, curves: &[StartCurve]) {
+        let of_curve = |(sampled, curve): (&Sampled, &StartCurve)| {
+            let spacing = sampled.points[sampled.points.len() - 1] / (sampled.points.len() - 1) as f64;
+            let known = |((place, point), sigma): ((&f64, &Point3), &f64)| KnownDepth {
+                place: sampled.spline.basis.at(*place),
+                z: point.z,
+                sigma: HELD_SIGMAS * sigma.max(0.1),
+                share: (spacing / observe::CORRELATION_PX).min(1.0),
+            };
+            sampled.points.iter().zip(&curve.points).zip(&curve.sigma_z).map(known).collect()
+        };
+        self.depths = self.splines.iter().zip(curves).map(of_curve).collect();
+    }
+
+    /// What is known of the depths of a curve, as observations; depths that are far off count for less.
+    fn depths_of(&self, index: usize) -> Vec<Observation> {
+        let spline = &self.splines[index].spline;
+        let observation = |known: &KnownDepth| {
+            let offset_px = known.z - spline.at(&known.place)[0].z;
+            let far = (observe::HUBER * known.sigma / offset_px.abs().max(1e-9)).min(1.0);
+            Observation {
+                view: 0,
+                weights: known.place,
+                per_point: Vector3::z(),
+                per_view: [0.0; PER_VIEW],
+                offset_px,
+                weight: known.share * far / known.sigma.powi(2),
+            }
+        };
+        self.depths.get(index).map_or(Vec::new(), |depths| depths.iter().map(observation).collect())
     }
 
     /// Takes in another view. Its turn and magnification are held to the pair's, not to those it was registered with: errors would
@@ -160,11 +211,15 @@ impl Problem {
                 .splines
                 .iter()
                 .zip(observed)
-                .map(|(sampled, observations)| CurveProblem {
-                    normals: sampled.spline.normals(),
-                    bending: spline::bending(&sampled.spline.basis, &sampled.places, settings.roughness),
-                    controls: sampled.spline.controls.clone(),
-                    observations,
+                .enumerate()
+                .map(|(index, (sampled, mut observations))| {
+                    observations.extend(self.depths_of(index));
+                    CurveProblem {
+                        normals: sampled.spline.normals(),
+                        bending: spline::bending(&sampled.spline.basis, &sampled.places, settings.roughness),
+                        controls: sampled.spline.controls.clone(),
+                        observations,
+                    }
                 })
                 .collect();
             let Some(step) = solve::solve(curves, &self.prior(settings)) else { return };

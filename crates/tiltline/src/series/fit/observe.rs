@@ -16,7 +16,7 @@ const LEAST_SIGMA_PX: f64 = 0.15;
 /// Sine of the angle up to which a line runs along a projected curve.
 const MOST_TURN: f64 = 0.5;
 /// Residuals beyond this many sigma are weighted down.
-const HUBER: f64 = 2.0;
+pub(super) const HUBER: f64 = 2.0;
 /// A piece of a curve on one line of a view counts from this many neighbouring places on: less is a crossing.
 const LEAST_RUN: usize = 4;
 /// Noise of a view relative to what its lines say: between these.

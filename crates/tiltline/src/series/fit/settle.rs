@@ -1,13 +1,17 @@
 //! Where the pair's curves lead the views astray: poses from the alignment of the series instead, and from the lines that all views
 //! show at those.
 //!
+//! The alignment is good to a px or two. The views agree on more: first each moves to where the tomogram of the others shows it
+//! ([`consensus`](super::consensus)), then poses are fitted to the curves of the tomogram.
+//!
 //! Views are registered on the pair's curves. Where most of these are wrong, so are the poses; the alignment of the images, which
 //! knows of no lines, is then the better start. The tomogram of lines tells: lines meet in it where poses are right.
 
-use super::grow::{ROUNDS, WIDE_PX, finished};
-use super::volume::{ABOVE_CHANCE, Volume};
-use super::{FitSettings, FitView, Grown, Problem, StartCurve};
-use crate::series::register;
+use super::consensus::in_consensus;
+use super::grow::{ROUNDS, WIDE_PX, finished, placed};
+use super::volume::{ABOVE_CHANCE, Volume, depth_of};
+use super::{FitSettings, FitView, FittedCurve, Grown, Problem, StartCurve};
+use crate::series::{ViewPose, register};
 
 /// Where lines meet less at aligned poses than by this share of what they do at the registered ones, these are right.
 const WORTH_A_TRY: f64 = 0.5;
@@ -30,12 +34,13 @@ pub(super) fn settled(
 ) -> (Grown, Volume, bool) {
     let volume = Volume::new(&registered.views, &registered.curves, ABOVE_CHANCE);
     let known = &registered.curves;
+    let aligned = agreed(aligned, known);
     let other = Volume::new(&aligned, known, ABOVE_CHANCE);
     if registered.left_out.is_empty() && other.strength <= WORTH_A_TRY * volume.strength {
         return (registered, volume, false);
     }
     // Poses from the lines that all views show, faint ones too, and more lines from better poses.
-    let mut problem = Problem::new(&[], aligned, settings);
+    let mut problem = Problem::new(&[], aligned.clone(), settings);
     for time in 0..TIMES {
         let above = if time + 1 < TIMES { ABOVE_AT_FIRST } else { ABOVE_CHANCE };
         let meeting = Volume::new(&problem.views, known, above);
@@ -48,9 +53,13 @@ pub(super) fn settled(
         register(&points, &view.lines, &view.pose, SEARCH_PX, false).is_some_and(|found| found.is_supported())
     };
     let pair = [0, 1].map(|place| registered.views[place].view);
-    let (views, out): (Vec<FitView>, Vec<FitView>) =
+    let (mut views, mut out): (Vec<FitView>, Vec<FitView>) =
         problem.views.into_iter().partition(|view| pair.contains(&view.view) || lies(view));
-    let settled = Volume::new(&views, known, ABOVE_CHANCE);
+    let mut settled = Volume::new(&views, known, ABOVE_CHANCE);
+    if other.strength > settled.strength {
+        // The curves led astray: too few are right.
+        (views, out, settled) = (aligned, Vec::new(), other);
+    }
     if settled.strength <= CLEARLY * volume.strength {
         return (registered, volume, false);
     }
@@ -62,6 +71,18 @@ pub(super) fn settled(
     let mut grown = finished(problem, out.into_iter().map(|view| view.view).collect(), settings);
     grown.curves.truncate(curves.len());
     (grown, settled, true)
+}
+
+/// The views moved to where they agree, in the frame of the pair.
+fn agreed(mut views: Vec<FitView>, known: &[FittedCurve]) -> Vec<FitView> {
+    let Some(depth) = depth_of(known) else { return views };
+    let poses = in_consensus(&views, depth);
+    let tilts_rad: Vec<f64> = views.iter().map(|view| view.pose.tilt_rad).collect();
+    let pair = [0, 1].map(|view| (view, views[view].pose));
+    for (view, pose) in views.iter_mut().zip(placed(pair, &tilts_rad, &poses)) {
+        view.pose = ViewPose { tilt_rad: view.pose.tilt_rad, ..pose };
+    }
+    views
 }
 
 #[cfg(test)]
@@ -98,6 +119,16 @@ mod tests {
         TILTS_DEG.into_iter().enumerate().map(view).unzip()
     }
 
+    /// The true curves, their depth times this.
+    fn curves_as_start(times: f64) -> Vec<StartCurve> {
+        let start = |curve: Vec<Point3>| StartCurve {
+            sigma_z: vec![3.0; curve.len()],
+            points: curve.into_iter().map(|point| Point3::new(point.x, point.y, times * point.z)).collect(),
+            closed: false,
+        };
+        curves().into_iter().map(start).collect()
+    }
+
     fn registered(views: Vec<FitView>, curves: &[StartCurve]) -> Grown {
         let fitted = |curve: &StartCurve| FittedCurve {
             points: curve.points.clone(),
@@ -128,18 +159,21 @@ mod tests {
         grown.views.iter().map(off).fold(0.0, f64::max)
     }
 
+    /// Views that are 8 px beside their places move to them by what they show, in the frame of the pair: an error of 0.1 px in where
+    /// the pair's views agree is 0.7 px of depth, which far tilts show.
+    #[test]
+    fn views_move_to_where_they_agree() {
+        let (truth, off) = views(8.0);
+        let known = registered(off.clone(), &curves_as_start(1.0)).curves;
+        let grown = Grown { views: agreed(off, &known), ..registered(Vec::new(), &[]) };
+        assert!(worst_px(&grown, &truth) < 1.0, "{}", worst_px(&grown, &truth));
+    }
+
     /// Curves whose depth is turned over say nothing right of where other views lie; the alignment of the series does, to 1.5 px, and
     /// the lines that meet there do better, though wrong curves pull. Where the registered views are right already, they stay.
     #[test]
     fn where_the_pairs_curves_are_wrong_the_alignment_leads() {
-        let turned_over: Vec<StartCurve> = curves()
-            .into_iter()
-            .map(|curve| StartCurve {
-                sigma_z: vec![3.0; curve.len()],
-                points: curve.into_iter().map(|point| Point3::new(point.x, point.y, -point.z)).collect(),
-                closed: false,
-            })
-            .collect();
+        let turned_over = curves_as_start(-1.0);
         let settings = FitSettings::default();
         let ((truth, wrong), (_, near), (_, right)) = (views(11.0), views(1.5), views(0.0));
         let (grown, volume, is_aligned) =

@@ -231,3 +231,31 @@ fn moved_to_another_frame_every_view_shows_the_same() {
         assert!((view.pose.tilt_rad - view.nominal_rad).abs() < 1e-12);
     }
 }
+
+/// Where only one view shows a line its depth stays what the pair's matcher said; without that it would follow the stiffness of the
+/// curve, away from where it bends.
+#[test]
+fn depths_that_no_other_view_shows_are_held() {
+    let at = |y: f64| Point3::new(10.0 + 0.2 * y, y, 0.002 * (y + 120.0).powi(2));
+    let curve: Vec<Point3> = (-120..=120).map(|y| at(f64::from(y))).collect();
+    let mut rng = Pcg64::seed_from_u64(8);
+    let seen = [(-4.0_f64, 240), (4.0, 60)].map(|(tilt_deg, length)| {
+        let pose = ViewPose::new(tilt_deg.to_radians(), 0.0, 1.0, Point2::new(255.5, 255.5));
+        (pose, noisy_lines(&[curve[..length].to_vec()], &pose, &mut rng))
+    });
+    let start = [StartCurve { points: curve.clone(), sigma_z: vec![1.0; curve.len()], closed: false }];
+    let settings = FitSettings::default();
+    let worst = |hold: bool| {
+        let views = seen.iter().enumerate();
+        let views =
+            views.map(|(index, (pose, lines))| FitView::new(index, *pose, LineIndex::new(lines.clone()))).collect();
+        let mut problem = Problem::new(&start, views, &settings);
+        if hold {
+            problem.hold_depths(&start);
+        }
+        problem.run(settings.rounds, [settings.reach_px; 2], &settings);
+        let fitted = &problem.fitted(settings.reach_px)[0].points;
+        fitted.iter().zip(&curve).map(|(found, truth)| (found.z - truth.z).abs()).fold(0.0, f64::max)
+    };
+    assert!(worst(true) < 3.0 && worst(false) > 10.0, "{} {}", worst(true), worst(false));
+}

@@ -8,20 +8,15 @@ use ndarray::{Array2, Array3};
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
+use super::grid::Grid;
 use super::{FitView, FittedCurve, StartCurve};
-use crate::filter::gaussian_blur;
-use crate::geometry::{Point2, Point3, Similarity2, Vector2, Vector3};
-use crate::rectify::resample::{bounds, resample};
+use crate::geometry::{Point2, Point3};
 use crate::simulate::draw::profile;
 use crate::tomography::curves::{CurveSettings, curves};
 use crate::tomography::{Geometry, Method, WbpSettings, volume};
 
 /// Voxels of the largest tomogram; views are shrunk until theirs is no larger.
 const MOST_VOXELS: f64 = 1.2e8;
-/// Views are blurred by so many voxels before they are shrunk, so that no line falls between the voxels.
-const SHRUNK_BLUR: f64 = 0.5;
-/// Layers beyond the range of depth, px.
-const MARGIN_PX: f64 = 10.0;
 /// Depth is looked at beyond that of the known curves, by this share on both sides.
 const BEYOND: f64 = 0.15;
 /// Standard deviation of a line in a map of probabilities, px.
@@ -62,49 +57,21 @@ impl Volume {
     /// The tomogram of the views, about as deep as the known curves, and the curves in it whose voxels are `above` times the root mean square
     /// of chance.
     pub fn new(views: &[FitView], known: &[FittedCurve], above: f64) -> Self {
-        let mut z: Vec<f64> = known.iter().flat_map(|curve| &curve.points).map(|point| point.z).collect();
-        z.sort_by(f64::total_cmp);
-        let at = |share: f64| z[((z.len() - 1) as f64 * share) as usize];
-        match z[..] {
-            [] => Self { curves: Vec::new(), is_decisive: false, strength: 0.0 },
-            _ => {
-                let (low, high) = (at(0.01), at(0.99));
-                let more = BEYOND * (high - low);
-                Self::between(views, [low - more, high + more], above, MOST_VOXELS)
-            }
-        }
+        let none = Self { curves: Vec::new(), is_decisive: false, strength: 0.0 };
+        depth_of(known).map_or(none, |depth| Self::between(views, depth, above, MOST_VOXELS))
     }
 
     /// The tomogram of the views between two depths, px, and the curves in it; see [`Volume::new`].
-    fn between(views: &[FitView], [top, bottom]: [f64; 2], above: f64, most_voxels: f64) -> Self {
+    fn between(views: &[FitView], depth: [f64; 2], above: f64, most_voxels: f64) -> Self {
         let none = Self { curves: Vec::new(), is_decisive: false, strength: 0.0 };
         let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
         let Some(first) = views.first() else { return none };
-        // The plane of projection as far as the first view shows it.
-        let (low, high) = bounds(first.lines.lines().shape, &first.pose.image_from_projection.inverse());
-        let middle_z = 0.5 * (top + bottom);
-        let size = [high.x - low.x + 1.0, high.y - low.y + 1.0, bottom - top + 2.0 * MARGIN_PX];
-        let px = (size.iter().product::<f64>() / most_voxels).cbrt().max(1.0);
-        let [width, height, depth] = size.map(|length| (length / px).ceil().max(1.0) as usize);
-        let on_grid = |view: &&FitView| {
-            // About the middle layer: what lies there moves with the tilt.
-            let shift = -low.coords - Vector2::new(middle_z * view.pose.tilt_rad.sin(), 0.0);
-            let mut map = view.pose.image_from_projection.inverse();
-            map.isometry.translation.vector += shift;
-            let map = Similarity2::from_scaling(1.0 / px) * map;
-            let mut probability = view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0);
-            if px > 1.0 {
-                probability = gaussian_blur(&probability, SHRUNK_BLUR * px);
-            }
-            let moved = resample(&probability.view(), &map, [height, width]);
-            moved.mapv_into(|value| if value.is_finite() { value } else { 0.0 })
-        };
-        let images: Vec<Array2<f32>> = views.iter().map(on_grid).collect();
+        let grid = Grid::new(first, depth, most_voxels);
+        let images: Vec<Array2<f32>> = views.iter().map(|view| grid.image(view)).collect();
         let tilts_rad: Vec<f64> = views.iter().map(|view| view.pose.tilt_rad).collect();
-        // A blurred line is wider and fainter.
-        let sigma_px = if px > 1.0 { LINE_SIGMA_PX.hypot(SHRUNK_BLUR * px) } else { LINE_SIGMA_PX };
-        let sure = value_of_a_line(&tilts_rad, sigma_px / px).map(|value| value * LINE_SIGMA_PX / sigma_px);
-        let geometry = Geometry { tilts_rad, width, depth, axis_column: -low.x / px };
+        let (sigma_px, height) = grid.blurred(LINE_SIGMA_PX);
+        let sure = value_of_a_line(&tilts_rad, sigma_px / grid.px).map(|value| value * height);
+        let geometry = grid.geometry(tilts_rad);
         // None of these exists where there are not two different tilts.
         let chance = tomogram_of_chance(&images, &geometry);
         let tomogram = volume(&images, &geometry, &Method::Wbp(WbpSettings::default())).ok();
@@ -117,10 +84,9 @@ impl Volume {
         let threshold = threshold as f32;
         let strength = tomogram.iter().map(|value| f64::from((value / threshold - 1.0).max(0.0)).powi(2)).sum();
         let found = curves(&tomogram, &geometry, threshold, &CurveSettings::default());
-        let in_frame = |point: Point3| Point3::from(point.coords * px) + Vector3::new(0.0, low.y, middle_z);
         let start = |curve: crate::tomography::curves::VolumeCurve| StartCurve {
-            sigma_z: vec![SIGMA_Z * px; curve.points.len()],
-            points: curve.points.into_iter().map(in_frame).collect(),
+            sigma_z: vec![SIGMA_Z * grid.px; curve.points.len()],
+            points: curve.points.into_iter().map(|point| grid.in_frame(point)).collect(),
             closed: curve.closed,
         };
         Self { curves: found.into_iter().map(start).collect(), is_decisive: share <= DECISIVE_SHARE, strength }
@@ -154,6 +120,16 @@ impl Volume {
         }
         away
     }
+}
+
+/// Where to look for lines, px: about as deep as the known curves.
+pub(super) fn depth_of(known: &[FittedCurve]) -> Option<[f64; 2]> {
+    let mut z: Vec<f64> = known.iter().flat_map(|curve| &curve.points).map(|point| point.z).collect();
+    z.sort_by(f64::total_cmp);
+    let last = z.len().checked_sub(1)?;
+    let [low, high] = [0.01, 0.99].map(|share| z[(last as f64 * share) as usize]);
+    let more = BEYOND * (high - low);
+    Some([low - more, high + more])
 }
 
 type Tree = RTree<GeomWithData<[f64; 3], ()>>;
@@ -230,6 +206,7 @@ mod tests {
 
     use super::*;
     use crate::curve::TraceGraph;
+    use crate::geometry::Vector3;
     use crate::series::{LineIndex, ViewLines, ViewPose};
     use crate::simulate::draw::union_of_profiles;
 

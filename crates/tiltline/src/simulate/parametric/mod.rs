@@ -9,6 +9,7 @@
 pub mod background;
 pub mod boundaries;
 pub mod debris;
+pub mod faults;
 pub mod lamellae;
 pub mod lines;
 
@@ -24,8 +25,12 @@ use crate::simulate::settings::{SimulateError, check_range, check_value};
 use background::Background;
 use boundaries::{Boundary, SlipTrace};
 use debris::Debris;
+use faults::Fault;
 use lamellae::{Hair, Lamella};
 use lines::{DrawnLine, Line};
+
+/// Sets the random numbers of faults apart from those of the rest.
+const FAULTS: u64 = 0x6661_756c_7473;
 
 /// What a random specimen may look like; ranges are `[low, high]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,6 +46,8 @@ pub struct LookSettings {
     pub bright: f64,
     /// Mean number of families of planar boundaries.
     pub boundary_families: f64,
+    /// Mean number of families of inclined planar faults with fringes.
+    pub faults: f64,
     /// Mean number of stacks of lamellae.
     pub lamellae: f64,
     /// Mean number of interfaces full of strokes too dense to trace.
@@ -61,6 +68,7 @@ impl Default for LookSettings {
             one_sided: 0.12,
             bright: 0.15,
             boundary_families: 0.6,
+            faults: 0.0,
             lamellae: 0.25,
             hair: 0.2,
             slip_traces: 0.5,
@@ -81,6 +89,7 @@ impl LookSettings {
         check_value("look.one_sided", self.one_sided, [0.0, 1.0])?;
         check_value("look.bright", self.bright, [0.0, 1.0])?;
         check_value("look.boundary_families", self.boundary_families, [0.0, 20.0])?;
+        check_value("look.faults", self.faults, [0.0, 20.0])?;
         check_value("look.lamellae", self.lamellae, [0.0, 20.0])?;
         check_value("look.hair", self.hair, [0.0, 20.0])?;
         check_value("look.slip_traces", self.slip_traces, [0.0, 100.0])?;
@@ -97,6 +106,7 @@ pub struct Specimen {
     lamellae: Vec<Lamella>,
     hair: Vec<Hair>,
     boundaries: Vec<Boundary>,
+    faults: Vec<Fault>,
     traces: Vec<SlipTrace>,
     debris: Vec<Debris>,
 }
@@ -138,7 +148,10 @@ impl Specimen {
         let background = Background::random(rng, extent_px, look.background);
         let style = lines::Style::random(rng, look);
         let lines = curves.iter().map(|curve| Line::random(rng, curve.clone(), &style, look)).collect();
-        Self { lines, background, lamellae, hair, boundaries, traces, debris }
+        // Numbers of their own: a foil with faults is the foil without them, and they on top.
+        let rng = &mut Pcg64::seed_from_u64(seed ^ FAULTS);
+        let faults = (0..count(rng, look.faults)).flat_map(|_| Fault::family(rng, extent_px, thickness_px)).collect();
+        Self { lines, background, lamellae, hair, boundaries, faults, traces, debris }
     }
 
     /// Paints the specimen as seen by a camera; `index` is the view's number (lines and background differ between
@@ -150,6 +163,9 @@ impl Specimen {
         }
         for boundary in &self.boundaries {
             boundary.paint(camera, index, &mut image);
+        }
+        for fault in &self.faults {
+            fault.paint(camera, index, &mut image);
         }
         for hair in &self.hair {
             hair.paint(camera, &mut image);
