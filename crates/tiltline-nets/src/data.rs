@@ -116,12 +116,10 @@ pub enum DataError {
         why: String,
     },
     /// Pairs without a common geometry, and nothing else to learn from.
-    #[error("{count} of the {of} pairs cannot be rectified, and no other was found to train a matcher on")]
+    #[error("none of the {count} pairs can be rectified: there is nothing to train a matcher on")]
     NotRectified {
         /// How many there are.
         count: usize,
-        /// Among so many.
-        of: usize,
     },
     /// A setting that is not possible.
     #[error("{name} is {value}; it must be {wanted}")]
@@ -278,34 +276,42 @@ impl Source {
         let mut rng = self.rng(2, number);
         let share = if self.settings.families.is_empty() { 1.0 } else { self.settings.folder_share };
         if !self.items.is_empty() && rng.random_range(0.0..1.0) < share {
-            return self.of_an_item(&mut rng);
+            match self.of_an_item(&mut rng)? {
+                Some(example) => return Ok(example),
+                None if self.settings.families.is_empty() => {
+                    return Err(DataError::NotRectified { count: self.items.len() });
+                }
+                None => (),
+            }
         }
         Example::simulated(&self.settings, (self.seed << 32) | number, self.split, &mut rng)
     }
 }
 
-/// A training ends where so many pairs in turn cannot be rectified.
-const TRIES: usize = 100;
-
 impl Source {
-    /// One of the items that can be used, at random.
-    fn of_an_item(&self, rng: &mut Pcg64) -> Result<Example, DataError> {
-        for _ in 0..TRIES {
-            let (set, item) = &self.items[rng.random_range(0..self.items.len())];
+    /// One of the items that can be used, at random; `None` where none can.
+    fn of_an_item(&self, rng: &mut Pcg64) -> Result<Option<Example>, DataError> {
+        let mut order: Vec<usize> = (0..self.items.len()).collect();
+        // The first is drawn as if it were the only one.
+        let first = rng.random_range(0..order.len());
+        order.swap(0, first);
+        order[1..].shuffle(rng);
+        for index in order {
+            let (set, item) = &self.items[index];
             let set = &self.sets[*set];
             let folder = set.folder.join(&item.name);
             if self.left_out().contains(&folder) {
                 continue;
             }
             if let Some(example) = Example::of_item(set, item, self.task)? {
-                return Ok(example);
+                return Ok(Some(example));
             }
             let mut left_out = self.left_out.lock().expect("no thread panics while it holds the lock");
             if !left_out.contains(&folder) {
                 left_out.push(folder);
             }
         }
-        Err(DataError::NotRectified { count: self.left_out().len(), of: self.items.len() })
+        Ok(None)
     }
 }
 

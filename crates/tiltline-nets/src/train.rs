@@ -347,11 +347,12 @@ impl Run {
         let start = Instant::now();
         let before = self.progress.seconds;
         while self.progress.step < self.settings.steps {
-            let batch = queue.next_batch()?;
+            let batch = queue.next_batch();
             for folder in queue.left_out().iter().skip(told) {
                 report(&Event::LeftOut(folder));
                 told += 1;
             }
+            let batch = batch?;
             let rate = self.rate();
             for (name, value) in self.learn(&batch, rate)? {
                 let sum = sums.entry(name.to_owned()).or_default();

@@ -78,7 +78,7 @@ pub fn volume(views: &[Array2<f32>], geometry: &Geometry, method: &Method) -> Re
 /// What a volume `[z, y, x]` looks like at the tilts of a geometry that has its width and depth: `[view, row, column]`.
 ///
 /// # Panics
-/// Where the volume's shape is another than the geometry's.
+/// Where the volume's shape is another than the geometry's, or it has no rows.
 pub fn projections(volume: &Array3<f32>, geometry: &Geometry) -> Array3<f32> {
     let (depth, rows, width) = volume.dim();
     assert_eq!([depth, width], [geometry.depth, geometry.width], "a volume is as large as its geometry");

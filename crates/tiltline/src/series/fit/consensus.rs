@@ -16,34 +16,46 @@ use crate::tomography::{Method, WbpSettings, projections, volume};
 
 /// Voxels of a tomogram: places are found between them.
 const MOST_VOXELS: f64 = 4e6;
-/// Groups of views, at most.
+/// Groups of views.
 const GROUPS: usize = 5;
-/// Views that a tomogram needs to say anything.
-const LEAST_VIEWS: usize = 5;
+/// Views that are needed to say anything: one for each group.
+const LEAST_VIEWS: usize = GROUPS;
 /// Rounds: blur, voxels, and the largest shift, px.
 const ROUNDS: [(f64, f64); 5] = [(2.0, 12.0), (1.5, 8.0), (1.0, 5.0), (0.7, 3.0), (0.7, 3.0)];
 /// What a tomogram has below so many times its root mean square is noise.
 const NOISE: f64 = 2.0;
 
-/// The views where they and their lines agree best, at first within 12 px of where they are; the frame stays where it is.
+/// The views where they and their lines agree best, at first within 12 px of where they are; the frame stays where it is, and so do views
+/// whose probabilities are not known.
 pub(super) fn in_consensus(views: &[FitView], depth: [f64; 2]) -> Vec<ViewPose> {
-    let mut moved: Vec<FitView> = views.to_vec();
-    if views.len() < LEAST_VIEWS || views.iter().any(|view| view.lines.lines().probability.is_empty()) {
-        return views.iter().map(|view| view.pose).collect();
+    let mut poses: Vec<ViewPose> = views.iter().map(|view| view.pose).collect();
+    let shown: Vec<usize> =
+        (0..views.len()).filter(|view| !views[*view].lines.lines().probability.is_empty()).collect();
+    if shown.len() >= LEAST_VIEWS {
+        let those: Vec<FitView> = shown.iter().map(|view| views[*view].clone()).collect();
+        for (view, pose) in shown.into_iter().zip(matched(those, depth)) {
+            poses[view] = pose;
+        }
     }
-    let grid = Grid::new(&views[0], depth, MOST_VOXELS);
-    let mut order: Vec<usize> = (0..views.len()).collect();
-    order.sort_by(|&a, &b| views[a].pose.tilt_rad.total_cmp(&views[b].pose.tilt_rad));
-    let groups = GROUPS.min(views.len());
+    poses
+}
+
+/// Poses of at least [`LEAST_VIEWS`] views after all rounds.
+fn matched(views: Vec<FitView>, depth: [f64; 2]) -> Vec<ViewPose> {
+    let mut moved = views;
+    let count = moved.len();
+    let grid = Grid::new(&moved[0], depth, MOST_VOXELS);
+    let mut order: Vec<usize> = (0..count).collect();
+    order.sort_by(|&a, &b| moved[a].pose.tilt_rad.total_cmp(&moved[b].pose.tilt_rad));
     for (blur, reach_px) in ROUNDS {
         // Small probabilities count for more by their roots: they are of faint lines.
         let images: Vec<Array2<f32>> = moved
             .par_iter()
             .map(|view| gaussian_blur(&grid.image(view).mapv_into(|value| value.max(0.0).sqrt()), blur))
             .collect();
-        let mut shifts = vec![Vector2::zeros(); views.len()];
-        for group in 0..groups {
-            let is_in = |place: &usize| place % groups == group;
+        let mut shifts = vec![Vector2::zeros(); count];
+        for group in 0..GROUPS {
+            let is_in = |place: &usize| place % GROUPS == group;
             let of = |inside: bool| -> Vec<usize> {
                 (0..order.len()).filter(|place| is_in(place) == inside).map(|place| order[place]).collect()
             };
@@ -132,5 +144,52 @@ fn hold_frame(shifts: &mut [Vector2], views: &[FitView]) {
     for (shift, view) in shifts.iter_mut().zip(views) {
         let (sin, cos) = view.pose.tilt_rad.sin_cos();
         *shift -= Vector2::new(x * cos + z * sin, y);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::curve::TraceGraph;
+    use crate::geometry::Point3;
+    use crate::series::{LineIndex, ViewLines};
+    use crate::simulate::draw::union_of_profiles;
+
+    /// What lies 3.4 px to the right and 1.7 px up of where it is expected is found there; what is further away than the reach is not.
+    #[test]
+    fn a_shift_is_found_with_its_signs() {
+        let drawn = |x: f64, y: f64| {
+            let at = |a: f64, b: f64| Point2::new(a + x, b + y);
+            union_of_profiles(
+                [80, 90],
+                &[vec![at(30.0, 20.0), at(60.0, 55.0)], vec![at(60.0, 25.0), at(35.0, 60.0)]],
+                2.0,
+            )
+        };
+        let found = best_shift(&drawn(3.4, -1.7), drawn(0.0, 0.0).view(), 6);
+        assert!((found - Vector2::new(3.4, -1.7)).norm() < 0.1, "{found}");
+        let far = best_shift(&drawn(12.0, 0.0), drawn(0.0, 0.0).view(), 4);
+        assert!(far.norm() < 4.0);
+        assert_eq!(best_shift(&drawn(0.0, 0.0), drawn(0.0, 0.0).view(), 40), Vector2::zeros());
+    }
+
+    /// A foil that moves as a whole moves no view against another.
+    #[test]
+    fn the_frame_does_not_move() {
+        let view = |index: usize| {
+            let tilt_rad = 0.2 * index as f64 - 0.5;
+            let lines = LineIndex::new(ViewLines::new(TraceGraph::default(), [64, 64]));
+            FitView::new(index, ViewPose::new(tilt_rad, 0.0, 1.0, Point2::origin()), lines)
+        };
+        let views: Vec<FitView> = (0..6).map(view).collect();
+        let of_foil = |view: &FitView| view.pose.project(&Point3::new(3.0, -2.0, 7.0)).coords;
+        let mut shifts: Vec<Vector2> = views.iter().map(of_foil).collect();
+        hold_frame(&mut shifts, &views);
+        assert!(shifts.iter().all(|shift| shift.norm() < 1e-9), "{shifts:?}");
+        // One view by itself does move.
+        let mut shifts = vec![Vector2::zeros(); 6];
+        shifts[2] = Vector2::new(1.0, 1.0);
+        hold_frame(&mut shifts, &views);
+        assert!(shifts[2].norm() > 0.8 && shifts[2].norm() < 1.4);
     }
 }

@@ -80,7 +80,9 @@ pub fn reconstruct_series(
     let of_pair = kept(&grown, &confirmed, &found);
     let new = found.away_from(of_pair.iter().map(|index| &grown.curves[*index]));
     if !new.is_empty() {
-        grown = extended(grown, &new, fit);
+        // Where the pair's curves led astray they hold nothing.
+        let held = if is_aligned { &[] } else { &start[..] };
+        grown = extended(grown, &new, held, fit);
     }
     let mut reconstruction = in_pair_form(result, &grown, &confirmed, &found, series, detector, settings);
     if is_aligned {

@@ -149,11 +149,13 @@ pub(super) fn placed(pair: [(usize, ViewPose); 2], tilts_rad: &[f64], aligned: &
     poses
 }
 
-/// Fits the same views again, with further curves behind those that were fitted before.
-pub(super) fn extended(before: Grown, further: &[StartCurve], settings: &FitSettings) -> Grown {
+/// Fits the same views again, with further curves behind those that were fitted before. The first ones are held to the depths of `held`,
+/// which are in the same frame.
+pub(super) fn extended(before: Grown, further: &[StartCurve], held: &[StartCurve], settings: &FitSettings) -> Grown {
     let mut curves: Vec<StartCurve> = before.curves.iter().map(FittedCurve::as_start).collect();
     curves.extend_from_slice(further);
     let mut problem = Problem::new(&curves, before.views, settings);
+    problem.hold_depths(held);
     problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
     problem.run(settings.rounds, [settings.reach_px; 2], settings);
     finished(problem, before.left_out, settings)

@@ -74,6 +74,9 @@ const MOST_STEP_PX: f64 = 6.0;
 /// Depths from the pair are held with so many times their sigma.
 const HELD_SIGMAS: f64 = 2.0;
 
+/// Errors of the pair's depths are alike over so many px.
+const HELD_CORRELATION_PX: f64 = 20.0;
+
 /// A curve that the fit starts from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartCurve {
@@ -162,12 +165,13 @@ impl Problem {
     /// which are seen by the fit as well: sigma is taken for larger than it is.
     fn hold_depths(&mut self, curves: &[StartCurve]) {
         let of_curve = |(sampled, curve): (&Sampled, &StartCurve)| {
-            let spacing = sampled.points[sampled.points.len() - 1] / (sampled.points.len() - 1) as f64;
+            let last = sampled.points.len() - 1;
+            let spacing = sampled.points[last] / last.max(1) as f64;
             let known = |((place, point), sigma): ((&f64, &Point3), &f64)| KnownDepth {
                 place: sampled.spline.basis.at(*place),
                 z: point.z,
                 sigma: HELD_SIGMAS * sigma.max(0.1),
-                share: (spacing / observe::CORRELATION_PX).min(1.0),
+                share: (spacing / HELD_CORRELATION_PX).min(1.0),
             };
             sampled.points.iter().zip(&curve.points).zip(&curve.sigma_z).map(known).collect()
         };
