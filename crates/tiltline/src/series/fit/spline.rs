@@ -6,6 +6,8 @@ use crate::geometry::{Point3, Vector3};
 
 /// Distance of knots that is aimed at, px of arc length: lines bend over tens of px.
 const KNOTS_PX: f64 = 6.0;
+/// Length in the projection of a unit tangent up to which a curve runs along the beam.
+const ALONG_BEAM: f64 = 0.3;
 /// Fewest intervals.
 const LEAST_INTERVALS: usize = 2;
 
@@ -120,13 +122,17 @@ impl Spline {
             .map(|shares| (0..4).fold(Vector3::zeros(), |sum, k| sum + self.controls[weights.index[k]] * shares[k]))
     }
 
-    /// Two unit vectors across the curve at each control point: the second as near to the beam as can be.
+    /// The two directions in which each control point may move: across the curve as the beam shows it, and along the beam. A step across
+    /// the curve in space would move points along the image wherever its depth rises, and wrong depths rise steeply: curves would shrink.
+    /// Only where a curve itself runs along the beam are both across it.
     pub fn normals(&self) -> Vec<[Vector3; 2]> {
         let across = |control: usize| {
             let [_, first, _] = self.at(&self.basis.at(self.basis.place(control)));
             let tangent = first.try_normalize(1e-12).unwrap_or_else(Vector3::y);
-            let aim = if tangent.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
-            let deep = (aim - tangent * tangent.dot(&aim)).normalize();
+            if tangent.xy().norm() > ALONG_BEAM {
+                return [Vector3::new(-tangent.y, tangent.x, 0.0).normalize(), Vector3::z()];
+            }
+            let deep = (Vector3::x() - tangent * tangent.x).normalize();
             [tangent.cross(&deep), deep]
         };
         (0..self.basis.controls()).map(across).collect()
@@ -183,6 +189,16 @@ mod tests {
         }
         for [across, deep] in spline.normals() {
             assert_abs_diff_eq!(across.dot(&deep), 0.0, epsilon = 1e-12);
+            assert_abs_diff_eq!(across.z, 0.0, epsilon = 1e-12);
+            assert_abs_diff_eq!(deep.z, 1.0, epsilon = 1e-12);
+        }
+        // Along the beam, nearly: both across it.
+        let deep: Vec<Point3> = places.iter().map(|s| Point3::new(0.1 * s, 0.05 * s, *s)).collect();
+        let spline = Spline::through(Basis::new(80.0, false), &places, &deep, &weights, 1e-3);
+        let along = Vector3::new(0.1, 0.05, 1.0);
+        for normals in spline.normals() {
+            normals.iter().for_each(|normal| assert_abs_diff_eq!(normal.dot(&along), 0.0, epsilon = 1e-6));
+            assert_abs_diff_eq!(normals[0].dot(&normals[1]), 0.0, epsilon = 1e-12);
         }
     }
 }

@@ -76,8 +76,13 @@ fn views(tilts_deg: &[f64], off: f64, seed: u64) -> (Vec<ViewPose>, Vec<FitView>
 
 /// Starts whose depths are off by a smooth error of some px, as a pair's are.
 fn starts(error_px: f64) -> Vec<StartCurve> {
+    wavy_starts(error_px, 0.04)
+}
+
+/// Starts whose depths are off by a wave of so many radians per point.
+fn wavy_starts(error_px: f64, rate: f64) -> Vec<StartCurve> {
     let start = |(index, curve): (usize, Vec<Point3>)| {
-        let wave = |at: usize| error_px * (0.04 * at as f64 + index as f64).sin();
+        let wave = |at: usize| error_px * (rate * at as f64 + index as f64).sin();
         let points =
             curve.iter().enumerate().map(|(at, point)| Point3::new(point.x, point.y, point.z + wave(at))).collect();
         StartCurve { points, sigma_z: vec![error_px.max(1.0); curve.len()], closed: false }
@@ -258,4 +263,23 @@ fn depths_that_no_other_view_shows_are_held() {
         fitted.iter().zip(&curve).map(|(found, truth)| (found.z - truth.z).abs()).fold(0.0, f64::max)
     };
     assert!(worst(true) < 3.0 && worst(false) > 10.0, "{} {}", worst(true), worst(false));
+}
+
+/// Depths that rise and fall three times as fast as the curve goes on, as those of wrong matches do: where points are seen in the left
+/// view stays, along the curves too, at their ends above all. These curves run along y.
+#[test]
+fn curves_with_steep_wrong_depths_keep_their_length() {
+    let settings = FitSettings::default();
+    for count in [3, 9] {
+        let starts = wavy_starts(15.0, 0.2);
+        let (_, views) = views(&tilts(count), 0.0, 5);
+        let mut problem = Problem::new(&starts, views, &settings);
+        problem.run(6, [6.0, 3.0], &settings);
+        problem.run(10, [3.0, 3.0], &settings);
+        for (curve, start) in problem.fitted(3.0).iter().zip(&starts) {
+            let moved = curve.points.iter().zip(&start.points).map(|(point, from)| (point.y - from.y).abs());
+            let worst = moved.fold(0.0, f64::max);
+            assert!(worst < 1.0, "{count} views: {worst} px along");
+        }
+    }
 }
