@@ -41,6 +41,9 @@ pub struct FitSettings {
     pub turn_sigma_deg: f64,
     /// One-sigma prior of the relative magnification of a view.
     pub scale_sigma: f64,
+    /// One-sigma prior of the rows of the pair's views against each other, px, as an image away from its middle by a quarter has them: what
+    /// their rectification leaves.
+    pub pair_row_sigma_px: f64,
     /// How readily curves bend: spectral density of the random walk of their slope, px^2 / px^3.
     pub roughness: f64,
     /// Largest offset between a projected curve and a line of a view, px.
@@ -55,6 +58,7 @@ impl Default for FitSettings {
             tilt_sigma_deg: 0.1,
             turn_sigma_deg: 0.6,
             scale_sigma: 0.003,
+            pair_row_sigma_px: 0.3,
             roughness: 1e-3,
             reach_px: 3.0,
             rounds: 10,
@@ -245,22 +249,43 @@ impl Problem {
         let count = self.views.len();
         let mut matrix = DMatrix::<f64>::zeros(PER_VIEW * count, PER_VIEW * count);
         let mut right = DVector::<f64>::zeros(PER_VIEW * count);
-        let mut hold = |at: usize, off: f64, sigma: f64| {
-            matrix[(at, at)] += 1.0 / (sigma * sigma);
-            right[at] -= off / (sigma * sigma);
+        // A weighted sum of numbers that should be zero: their places and weights, how far off it is, its sigma.
+        let mut hold = |numbers: &[(usize, f64)], off: f64, sigma: f64| {
+            for &(a, of_a) in numbers {
+                right[a] -= of_a * off / (sigma * sigma);
+                for &(b, of_b) in numbers {
+                    matrix[(a, b)] += of_a * of_b / (sigma * sigma);
+                }
+            }
         };
         let tilt_sigma = settings.tilt_sigma_deg.max(1e-6).to_radians();
-        for (index, (view, start)) in self.views.iter().zip(&self.start).enumerate() {
+        let turn_sigma = settings.turn_sigma_deg.max(1e-6).to_radians();
+        let scale_sigma = settings.scale_sigma.max(1e-9);
+        let off = |index: usize| {
+            let (pose, start) = (&self.views[index].pose, &self.start[index]);
+            let turned = pose.axis_rad() - start.axis_rad();
+            (pose.origin() - start.origin(), turned.sin().atan2(turned.cos()), (pose.scale() / start.scale()).ln())
+        };
+        for (index, view) in self.views.iter().enumerate() {
             let first = PER_VIEW * index;
-            let moved = view.pose.origin() - start.origin();
-            let turned = view.pose.axis_rad() - start.axis_rad();
+            let (moved, turned, grown) = off(index);
             // The views of the pair are the frame: the place of one, and of the other along the rows.
-            hold(first, moved.x, if index < 2 { FIXED } else { SHIFT_SIGMA_PX });
-            hold(first + 1, moved.y, if index < 1 { FIXED } else { SHIFT_SIGMA_PX });
-            hold(first + 2, turned.sin().atan2(turned.cos()), settings.turn_sigma_deg.max(1e-6).to_radians());
-            let scale_sigma = if index < 1 { FIXED } else { settings.scale_sigma.max(1e-9) };
-            hold(first + 3, (view.pose.scale() / start.scale()).ln(), scale_sigma);
-            hold(first + 4, view.pose.tilt_rad - view.nominal_rad, tilt_sigma);
+            let (sin, cos) = self.start[index].axis_rad().sin_cos();
+            let rows = settings.pair_row_sigma_px.max(FIXED);
+            let [along, across] = [[FIXED, FIXED], [FIXED, rows]].get(index).copied().unwrap_or([SHIFT_SIGMA_PX; 2]);
+            hold(&[(first, cos), (first + 1, sin)], cos * moved.x + sin * moved.y, along);
+            hold(&[(first, -sin), (first + 1, cos)], cos * moved.y - sin * moved.x, across);
+            hold(&[(first + 2, 1.0)], turned, turn_sigma);
+            hold(&[(first + 3, 1.0)], grown, if index < 1 { FIXED } else { scale_sigma });
+            hold(&[(first + 4, 1.0)], view.pose.tilt_rad - view.nominal_rad, tilt_sigma);
+        }
+        if count > 1 {
+            // Their rows have been laid on each other by points of which most are no lines.
+            let size = self.views[0].lines.lines().shape;
+            let sigma = settings.pair_row_sigma_px.max(FIXED) / (0.25 * size[0].max(size[1]) as f64);
+            let ((_, first_turned, _), (_, turned, grown)) = (off(0), off(1));
+            hold(&[(2, -1.0), (PER_VIEW + 2, 1.0)], turned - first_turned, sigma);
+            hold(&[(PER_VIEW + 3, 1.0)], grown, sigma);
         }
         // The mean of the errors of tilt: sum(delta) / n = 0.
         let sigma = MEAN_TILT_SIGMA_DEG.to_radians() * count as f64;

@@ -54,17 +54,19 @@ pub(super) fn noisy_lines(curves: &[Vec<Point3>], pose: &ViewPose, rng: &mut Pcg
     ViewLines::new(TraceGraph { traces: traces.collect(), junctions: Vec::new() }, SHAPE)
 }
 
-/// The views of a problem: true poses, and what is known of them, which is nothing but the nominal tilt.
+/// The views of a problem: true poses, and what is known of them: the nominal tilt, and the turn of the pair's views to 0.05 degrees.
 fn views(tilts_deg: &[f64], off: f64, seed: u64) -> (Vec<ViewPose>, Vec<FitView>) {
     let curves = curves();
     let mut rng = Pcg64::seed_from_u64(seed);
     let truth: Vec<ViewPose> =
         tilts_deg.iter().enumerate().map(|(at, tilt)| true_pose(at, tilts_deg.len(), *tilt, off)).collect();
+    // The views of the pair are turned against each other as their rows say.
+    let turned = truth[1].axis_rad() - truth[0].axis_rad();
     let views = truth.iter().zip(tilts_deg).enumerate().map(|(at, (pose, tilt))| {
         let lines = LineIndex::new(noisy_lines(&curves, pose, &mut rng));
         let near = ViewPose::new(
             tilt.to_radians(),
-            0.0,
+            if at == 1 { turned + 0.05_f64.to_radians() * off } else { 0.0 },
             1.0,
             pose.origin() + Vector2::new(0.4, -0.3) * (off * (at % 3) as f64),
         );
