@@ -77,6 +77,7 @@ impl Settings {
             ("series.tilt_sigma_deg", self.series.tilt_sigma_deg, not_negative, "0 or more"),
             ("series.turn_sigma_deg", self.series.turn_sigma_deg, not_negative, "0 or more"),
             ("series.scale_sigma", self.series.scale_sigma, not_negative, "0 or more"),
+            ("series.pair_row_sigma_px", self.series.pair_row_sigma_px, not_negative, "0 or more"),
             ("series.roughness", self.series.roughness, positive, "more than 0"),
             ("series.reach_px", self.series.reach_px, positive, "more than 0"),
             ("measure.tilt_sigma_deg", self.measure.tilt_sigma_deg, not_negative, "0 or more"),

@@ -65,6 +65,8 @@ pub fn reconstruct_series(
     fit: &FitSettings,
     lines_of: &mut dyn FnMut(usize) -> Result<ViewLines, SeriesError>,
 ) -> Result<SeriesFit, SeriesError> {
+    let sigma_row_px = result.rectified.rectification.sigma_row_px;
+    let fit = &FitSettings { pair_row_sigma_px: fit.pair_row_sigma_px.max(sigma_row_px), ..fit.clone() };
     let saved = SavedCurves::of(&result);
     let poses = saved.poses;
     let start: Vec<StartCurve> = saved

@@ -3,7 +3,8 @@
 //!
 //! Robust, sparse least squares: project the splines, measure the offset to the line across them in every view ([`observe`]), solve
 //! for curves and poses ([`solve`]), repeat. Priors hold each tilt to 0.1 degree and their mean altogether (a common change only
-//! turns the foil); the shift and magnification of the first view, and the shift of the second along the rows, are the frame.
+//! turns the foil), and the pair's views to the rows that its rectification gave them; the shift and magnification of the first
+//! view, and the shift of the second along the rows, are the frame.
 //! [`grow`] starts from a pair and takes in views by and by; [`volume`] adds the lines that only all views together show, and
 //! [`settle`] finds poses by them where the pair's curves are wrong.
 
@@ -41,8 +42,8 @@ pub struct FitSettings {
     pub turn_sigma_deg: f64,
     /// One-sigma prior of the relative magnification of a view.
     pub scale_sigma: f64,
-    /// One-sigma prior of the rows of the pair's views against each other, px, as an image away from its middle by a quarter has them: what
-    /// their rectification leaves.
+    /// One-sigma prior of the rows of the pair's views against each other, px, in the middle of an image and at a quarter of its longer
+    /// side from there: what their rectification leaves, at least (where it says that more is left, that counts).
     pub pair_row_sigma_px: f64,
     /// How readily curves bend: spectral density of the random walk of their slope, px^2 / px^3.
     pub roughness: f64,
@@ -266,26 +267,30 @@ impl Problem {
             let turned = pose.axis_rad() - start.axis_rad();
             (pose.origin() - start.origin(), turned.sin().atan2(turned.cos()), (pose.scale() / start.scale()).ln())
         };
+        let rows = settings.pair_row_sigma_px.max(FIXED);
+        let longer_side = self.views.first().map_or(1, |view| view.lines.lines().shape.into_iter().max().unwrap_or(1));
+        // Of the turn and the magnification of the pair's views against each other.
+        let pair_sigma = rows / (0.25 * longer_side as f64);
         for (index, view) in self.views.iter().enumerate() {
             let first = PER_VIEW * index;
             let (moved, turned, grown) = off(index);
             // The views of the pair are the frame: the place of one, and of the other along the rows.
             let (sin, cos) = self.start[index].axis_rad().sin_cos();
-            let rows = settings.pair_row_sigma_px.max(FIXED);
             let [along, across] = [[FIXED, FIXED], [FIXED, rows]].get(index).copied().unwrap_or([SHIFT_SIGMA_PX; 2]);
             hold(&[(first, cos), (first + 1, sin)], cos * moved.x + sin * moved.y, along);
             hold(&[(first, -sin), (first + 1, cos)], cos * moved.y - sin * moved.x, across);
             hold(&[(first + 2, 1.0)], turned, turn_sigma);
-            hold(&[(first + 3, 1.0)], grown, if index < 1 { FIXED } else { scale_sigma });
+            hold(
+                &[(first + 3, 1.0)],
+                grown,
+                [FIXED, pair_sigma.min(scale_sigma)].get(index).copied().unwrap_or(scale_sigma),
+            );
             hold(&[(first + 4, 1.0)], view.pose.tilt_rad - view.nominal_rad, tilt_sigma);
         }
         if count > 1 {
-            // Their rows have been laid on each other by points of which most are no lines.
-            let size = self.views[0].lines.lines().shape;
-            let sigma = settings.pair_row_sigma_px.max(FIXED) / (0.25 * size[0].max(size[1]) as f64);
-            let ((_, first_turned, _), (_, turned, grown)) = (off(0), off(1));
-            hold(&[(2, -1.0), (PER_VIEW + 2, 1.0)], turned - first_turned, sigma);
-            hold(&[(PER_VIEW + 3, 1.0)], grown, sigma);
+            // Lines that run along the tilt axis hardly show a turn of the pair's views against each other: it looks like depth. The
+            // rectification knows it from the rows of points that are no lines.
+            hold(&[(2, -1.0), (PER_VIEW + 2, 1.0)], off(1).1 - off(0).1, pair_sigma);
         }
         // The mean of the errors of tilt: sum(delta) / n = 0.
         let sigma = MEAN_TILT_SIGMA_DEG.to_radians() * count as f64;

@@ -6,7 +6,7 @@ use crate::geometry::{Point3, Vector3};
 
 /// Distance of knots that is aimed at, px of arc length: lines bend over tens of px.
 const KNOTS_PX: f64 = 6.0;
-/// Length in the projection of a unit tangent up to which a curve runs along the beam.
+/// Length in the projection of a unit tangent up to which a curve runs along the beam: depth changes three times as fast as the place.
 const ALONG_BEAM: f64 = 0.3;
 /// Fewest intervals.
 const LEAST_INTERVALS: usize = 2;
@@ -49,6 +49,9 @@ impl Basis {
     /// Place at which a control point weighs most, px.
     pub fn place(&self, control: usize) -> f64 {
         let at = control as f64 - 1.0;
+        if self.closed {
+            return at.rem_euclid(self.intervals as f64) * self.step;
+        }
         (at * self.step).clamp(0.0, self.intervals as f64 * self.step)
     }
 
@@ -175,6 +178,19 @@ mod tests {
         }
     }
 
+    /// A control point of a closed curve weighs most at its own place, the first one at the last knot.
+    #[test]
+    fn places_of_controls_are_where_they_weigh_most() {
+        for closed in [false, true] {
+            let basis = Basis::new(60.0, closed);
+            for control in if closed { 0..basis.controls() } else { 1..basis.controls() - 1 } {
+                let at = basis.at(basis.place(control));
+                let share: f64 = (0..4).filter(|k| at.index[*k] == control).map(|k| at.value[k]).sum();
+                assert_abs_diff_eq!(share, 2.0 / 3.0, epsilon = 1e-9);
+            }
+        }
+    }
+
     #[test]
     fn a_smooth_curve_is_met_with_its_direction() {
         let places: Vec<f64> = (0..=80).map(f64::from).collect();
@@ -187,8 +203,10 @@ mod tests {
             assert!((point - curve(s).coords).norm() < 0.05, "{s}: {point}");
             assert_abs_diff_eq!(first.x, 1.0, epsilon = 0.02);
         }
-        for [across, deep] in spline.normals() {
-            assert_abs_diff_eq!(across.dot(&deep), 0.0, epsilon = 1e-12);
+        for (control, [across, deep]) in spline.normals().into_iter().enumerate() {
+            let [_, along, _] = spline.at(&spline.basis.at(spline.basis.place(control)));
+            assert_abs_diff_eq!(across.dot(&along), 0.0, epsilon = 1e-12);
+            assert_abs_diff_eq!(across.norm(), 1.0, epsilon = 1e-12);
             assert_abs_diff_eq!(across.z, 0.0, epsilon = 1e-12);
             assert_abs_diff_eq!(deep.z, 1.0, epsilon = 1e-12);
         }
