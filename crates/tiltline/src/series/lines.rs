@@ -7,11 +7,20 @@ use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
 use crate::curve::TraceGraph;
+use crate::filter::gaussian_blur;
 use crate::geometry::{Point2, Similarity2, Vector2};
 use crate::micrograph::{Micrograph, View};
 use crate::pipeline::Detect;
 use crate::rectify::{Rectification, RectifiedPair};
+use crate::tomography::prepare::flattened;
 use crate::trace::{TraceSettings, trace};
+
+/// Standard deviation of the mean that is the background of a line, px: several times its width.
+const BACKGROUND_PX: f64 = 12.0;
+/// Standard deviation of the smoothing of contrast, px: as wide as a line.
+const LINE_PX: f64 = 1.0;
+/// A view that differs from its background by less is the same everywhere.
+const LEAST_SIGMA: f64 = 1e-5;
 
 /// Lines found in one view, in its input px.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +32,9 @@ pub struct ViewLines {
     /// Probability of a line `[row, column]` in 255ths, as far below the threshold of tracing as the detector sees any; 0 by 0 where
     /// only the centrelines are known.
     pub probability: Arc<Array2<u8>>,
+    /// How much darker than its surroundings a pixel is, smoothed to the width of a line, in steps of [`ViewLines::CONTRAST_STEP`] standard
+    /// deviations of the view; 0 by 0 where it is not known.
+    pub contrast: Arc<Array2<i8>>,
 }
 
 /// Finds and traces the lines of a single view with the detector of a pair.
@@ -32,10 +44,22 @@ pub fn detect_lines(image: &Micrograph, detector: &dyn Detect, settings: &TraceS
     if pixels.iter().all(|value| *value == 0.0) {
         return ViewLines::new(TraceGraph::default(), shape);
     }
+    let contrast = contrast(&pixels);
     let pair = alone(pixels);
     let map = detector.detect(&pair, View::Left);
     let probability = map.probability.mapv(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8);
-    ViewLines { probability: Arc::new(probability), ..ViewLines::new(trace(&map, settings), shape) }
+    let lines = ViewLines::new(trace(&map, settings), shape);
+    ViewLines { probability: Arc::new(probability), contrast: Arc::new(contrast), ..lines }
+}
+
+/// See [`ViewLines::contrast`].
+fn contrast(pixels: &Array2<f32>) -> Array2<i8> {
+    let darker = gaussian_blur(&flattened(pixels, BACKGROUND_PX).mapv_into(|value| -value), LINE_PX);
+    let squares: f64 = darker.iter().map(|value| f64::from(*value).powi(2)).sum();
+    let sigma = (squares / darker.len().max(1) as f64).sqrt();
+    // An image without any contrast has that of its rounding.
+    let per_step = if sigma > LEAST_SIGMA { 1.0 / (ViewLines::CONTRAST_STEP * sigma as f32) } else { 0.0 };
+    darker.mapv(|value| (per_step * value).round().clamp(-127.0, 127.0) as i8)
 }
 
 /// A "pair" of one image, for detectors, which look at pairs.
@@ -46,9 +70,12 @@ fn alone(pixels: Array2<f32>) -> RectifiedPair {
 }
 
 impl ViewLines {
+    /// A step of [`ViewLines::contrast`]: 3 standard deviations are as much as there is.
+    pub const CONTRAST_STEP: f32 = 3.0 / 127.0;
+
     /// Centrelines whose map of probabilities is not known.
     pub fn new(traces: TraceGraph, shape: [usize; 2]) -> Self {
-        Self { traces, shape, probability: Arc::default() }
+        Self { traces, shape, probability: Arc::default(), contrast: Arc::default() }
     }
 
     /// Length of all lines, px.
@@ -180,5 +207,26 @@ impl LineIndex {
         }
         let crate::curve::TracePoint { tangent, sigma_perp_px, .. } = points[index];
         NearLine { trace, point: index, place: best, tangent, sigma_px: sigma_perp_px }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A dark line stands out by its sign and in the view's own noise, whatever the grey levels; nothing does so by more than is kept.
+    #[test]
+    fn a_dark_line_has_positive_contrast_and_a_bright_one_negative() {
+        for (level, gain) in [(0.5_f32, 1.0_f32), (200.0, 300.0)] {
+            let noise = |row: usize, column: usize| 0.02 * ((7 * row + 13 * column) as f32).sin();
+            let value = |(row, column): (usize, usize)| match column {
+                30 => -0.1,
+                70 => 0.1,
+                _ => noise(row, column),
+            };
+            let found = contrast(&Array2::from_shape_fn([90, 100], |at| level + gain * value(at)));
+            assert!(found[[45, 30]] > 60 && found[[45, 70]] < -60 && found[[45, 50]].abs() < 40, "{found}");
+        }
+        assert!(contrast(&Array2::from_elem([20, 20], 3.0)).iter().all(|value| *value == 0));
     }
 }

@@ -78,7 +78,7 @@ pub fn prepare(
 }
 
 /// Relative difference from the background, 0 where there is no data.
-fn flattened(image: &Array2<f32>, sigma: f64) -> Array2<f32> {
+pub(crate) fn flattened(image: &Array2<f32>, sigma: f64) -> Array2<f32> {
     // A black border's edge is no line; a blurred mask says how near it is.
     let known = gaussian_blur(&data_mask(image).mapv(|data| if data { 1.0 } else { 0.0 }), MARGIN_PX)
         .mapv_into(|share: f32| if share > 0.99 { 1.0 } else { 0.0 });

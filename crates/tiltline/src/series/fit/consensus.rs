@@ -1,16 +1,17 @@
-//! Views moved to where the tomogram of the others shows them (projection matching): no curves are needed, only what the detector sees
-//! in every view, however faint.
+//! Views moved to where the tomogram of the others shows them (projection matching): no curves are needed, only the evidence for lines in
+//! every view, however faint.
 //!
 //! Views are dealt into groups by their tilts. Each group is held against a tomogram of the others, projected at its tilts, so
-//! that no view is drawn to itself; it moves by the shift at which the two agree best.
+//! that no view is drawn to itself; it moves by the shift, turn and magnification at which the two agree best.
 
-use ndarray::{Array2, ArrayView2, Axis, s};
+use ndarray::{Array2, Axis};
 use rayon::prelude::*;
 
-use super::FitView;
 use super::grid::Grid;
+use super::likeness::{Displaced, Expected, correlation, displaced};
+use super::{FitSettings, FitView};
 use crate::filter::gaussian_blur;
-use crate::geometry::{Point2, Vector2};
+use crate::geometry::Vector2;
 use crate::series::ViewPose;
 use crate::tomography::{Method, WbpSettings, projections, volume};
 
@@ -22,18 +23,20 @@ const GROUPS: usize = 5;
 const LEAST_VIEWS: usize = GROUPS;
 /// Rounds: blur, voxels, and the largest shift, px.
 const ROUNDS: [(f64, f64); 5] = [(2.0, 12.0), (1.5, 8.0), (1.0, 5.0), (0.7, 3.0), (0.7, 3.0)];
+/// Blur of the last round.
+const LAST_BLUR: f64 = 0.7;
 /// What a tomogram has below so many times its root mean square is noise.
 const NOISE: f64 = 2.0;
 
-/// The views where they and their lines agree best, at first within 12 px of where they are; the frame stays where it is, and so do views
-/// whose probabilities are not known.
-pub(super) fn in_consensus(views: &[FitView], depth: [f64; 2]) -> Vec<ViewPose> {
+/// The views, those of the pair first, where they and their lines agree best, at first within 12 px of where they are; the frame stays where
+/// it is, and so do views whose probabilities are not known.
+pub(super) fn in_consensus(views: &[FitView], depth: [f64; 2], settings: &FitSettings) -> Vec<ViewPose> {
     let mut poses: Vec<ViewPose> = views.iter().map(|view| view.pose).collect();
     let shown: Vec<usize> =
         (0..views.len()).filter(|view| !views[*view].lines.lines().probability.is_empty()).collect();
     if shown.len() >= LEAST_VIEWS {
         let those: Vec<FitView> = shown.iter().map(|view| views[*view].clone()).collect();
-        for (view, pose) in shown.into_iter().zip(matched(those, depth)) {
+        for (view, pose) in shown.into_iter().zip(matched(those, depth, settings)) {
             poses[view] = pose;
         }
     }
@@ -41,109 +44,128 @@ pub(super) fn in_consensus(views: &[FitView], depth: [f64; 2]) -> Vec<ViewPose> 
 }
 
 /// Poses of at least [`LEAST_VIEWS`] views after all rounds.
-fn matched(views: Vec<FitView>, depth: [f64; 2]) -> Vec<ViewPose> {
+fn matched(views: Vec<FitView>, depth: [f64; 2], settings: &FitSettings) -> Vec<ViewPose> {
     let mut moved = views;
     let count = moved.len();
     let grid = Grid::new(&moved[0], depth, MOST_VOXELS);
-    let mut order: Vec<usize> = (0..count).collect();
-    order.sort_by(|&a, &b| moved[a].pose.tilt_rad.total_cmp(&moved[b].pose.tilt_rad));
+    let starts: Vec<ViewPose> = moved.iter().map(|view| view.pose).collect();
     for (blur, reach_px) in ROUNDS {
-        // Small probabilities count for more by their roots: they are of faint lines.
-        let images: Vec<Array2<f32>> = moved
-            .par_iter()
-            .map(|view| gaussian_blur(&grid.image(view).mapv_into(|value| value.max(0.0).sqrt()), blur))
-            .collect();
-        let mut shifts = vec![Vector2::zeros(); count];
-        for group in 0..GROUPS {
-            let is_in = |place: &usize| place % GROUPS == group;
-            let of = |inside: bool| -> Vec<usize> {
-                (0..order.len()).filter(|place| is_in(place) == inside).map(|place| order[place]).collect()
+        let images = shown(&moved, &grid, blur);
+        // All views may turn with the axis, which is not known as well as a view's turn against the others.
+        let turned: Vec<f64> = moved.iter().zip(&starts).map(|(view, start)| turn(start, &view.pose)).collect();
+        let together = turned.iter().sum::<f64>() / count as f64;
+        let reach = (reach_px / grid.px).ceil() as usize;
+        let found = by_groups(&moved, &images, &grid).into_par_iter().map(|(view, expected)| {
+            let prior = Expected {
+                turn_rad: together - turned[view],
+                turn_sigma: settings.turn_sigma_deg.max(1e-6).to_radians(),
+                log_scale: (starts[view].scale() / moved[view].pose.scale()).ln(),
+                scale_sigma: settings.scale_sigma.max(1e-9),
             };
-            let (held, others) = (of(true), of(false));
-            let tilts = |of: &[usize]| of.iter().map(|view| moved[*view].pose.tilt_rad).collect();
-            let known: Vec<Array2<f32>> = others.iter().map(|view| images[*view].clone()).collect();
-            let Ok(mut tomogram) = volume(&known, &grid.geometry(tilts(&others)), &Method::Wbp(WbpSettings::default()))
-            else {
-                continue;
-            };
-            let squares: f64 = tomogram.iter().map(|value| f64::from(*value).powi(2)).sum();
-            let noise = (NOISE * (squares / tomogram.len() as f64).sqrt()) as f32;
-            tomogram.mapv_inplace(|value| (value - noise).max(0.0));
-            let expected = projections(&tomogram, &grid.geometry(tilts(&held)));
-            let reach = (reach_px / grid.px).ceil() as usize;
-            let shift = |at: usize| best_shift(&images[held[at]], expected.index_axis(Axis(0), at), reach);
-            let found: Vec<Vector2> = (0..held.len()).into_par_iter().map(shift).collect();
-            for (view, shift) in held.into_iter().zip(found) {
-                shifts[view] = shift * grid.px;
-            }
+            let found = displaced(&images[view], expected.view(), reach, blur, &prior);
+            (view, Displaced { shift: found.shift * grid.px, ..found })
+        });
+        let mut moves = vec![Displaced::NONE; count];
+        for (view, found) in found.collect::<Vec<_>>() {
+            moves[view] = found;
         }
-        hold_frame(&mut shifts, &moved);
-        for (view, shift) in moved.iter_mut().zip(&shifts) {
-            let ViewPose { tilt_rad, image_from_projection } = view.pose;
-            let origin = image_from_projection * Point2::from(*shift);
-            view.pose = ViewPose::new(tilt_rad, view.pose.axis_rad(), view.pose.scale(), origin);
+        hold_frame(&mut moves, &moved);
+        hold_pair(&mut moves);
+        for (view, by) in moved.iter_mut().zip(&moves) {
+            let image_from_projection = view.pose.image_from_projection * by.map(&grid.middle(view));
+            view.pose = ViewPose { image_from_projection, ..view.pose };
         }
     }
     moved.into_iter().map(|view| view.pose).collect()
 }
 
-/// By how much (columns, rows; pixels of the grid) an image is displaced against what is expected: where their correlation is largest
-/// within `reach`, between pixels by a parabola; 0 where it is largest at the edge of that.
-fn best_shift(image: &Array2<f32>, expected: ArrayView2<'_, f32>, reach: usize) -> Vector2 {
-    let (height, width) = image.dim();
-    let side = 2 * reach + 1;
-    if height <= side || width <= side {
-        return Vector2::zeros();
-    }
-    let inside = expected.slice(s![reach..height - reach, reach..width - reach]);
-    let mean = inside.mean().unwrap_or(0.0);
-    let correlation = Array2::from_shape_fn((side, side), |(down, right)| {
-        let part = image.slice(s![down..height - 2 * reach + down, right..width - 2 * reach + right]);
-        let mut sum = 0.0_f64;
-        for (row, expected) in part.rows().into_iter().zip(inside.rows()) {
-            let products = row.iter().zip(expected).map(|(value, expected)| value * (expected - mean));
-            sum += f64::from(products.sum::<f32>());
-        }
-        sum
-    });
-    let ((row, column), _) =
-        correlation.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).expect("it has at least one place");
-    if row == 0 || column == 0 || row + 1 == side || column + 1 == side {
-        return Vector2::zeros();
-    }
-    let peak = |before: f64, at: f64, after: f64| {
-        let curvature = before - 2.0 * at + after;
-        if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 }
-    };
-    let at = |row: usize, column: usize| correlation[[row, column]];
-    let between = Vector2::new(
-        peak(at(row, column - 1), at(row, column), at(row, column + 1)),
-        peak(at(row - 1, column), at(row, column), at(row + 1, column)),
-    );
-    Vector2::new(column as f64, row as f64) + between - Vector2::from_element(reach as f64)
+/// By how much a pose is turned against another, radians.
+fn turn(from: &ViewPose, to: &ViewPose) -> f64 {
+    let turned = to.axis_rad() - from.axis_rad();
+    turned.sin().atan2(turned.cos())
 }
 
-/// Takes out of shifts what only moves the foil: `x = X cos a + Z sin a`, `y = Y`, by least squares.
-fn hold_frame(shifts: &mut [Vector2], views: &[FitView]) {
-    let [mut cc, mut cs, mut ss, mut cx, mut sx, mut y] = [0.0; 6];
-    for (shift, view) in shifts.iter().zip(views) {
+/// The evidence of views on the grid, blurred.
+fn shown(views: &[FitView], grid: &Grid, blur: f64) -> Vec<Array2<f32>> {
+    views.par_iter().map(|view| gaussian_blur(&grid.evidence(view), blur)).collect()
+}
+
+/// For each view what is expected there: the tomogram of the views of other groups, projected.
+fn by_groups(views: &[FitView], images: &[Array2<f32>], grid: &Grid) -> Vec<(usize, Array2<f32>)> {
+    let mut order: Vec<usize> = (0..views.len()).collect();
+    order.sort_by(|&a, &b| views[a].pose.tilt_rad.total_cmp(&views[b].pose.tilt_rad));
+    let mut all = Vec::new();
+    for group in 0..GROUPS {
+        let is_in = |place: &usize| place % GROUPS == group;
+        let of = |inside: bool| -> Vec<usize> {
+            (0..order.len()).filter(|place| is_in(place) == inside).map(|place| order[place]).collect()
+        };
+        let (held, others) = (of(true), of(false));
+        let tilts = |of: &[usize]| of.iter().map(|view| views[*view].pose.tilt_rad).collect();
+        let known: Vec<Array2<f32>> = others.iter().map(|view| images[*view].clone()).collect();
+        let Ok(mut tomogram) = volume(&known, &grid.geometry(tilts(&others)), &Method::Wbp(WbpSettings::default()))
+        else {
+            continue;
+        };
+        let squares: f64 = tomogram.iter().map(|value| f64::from(*value).powi(2)).sum();
+        let noise = (NOISE * (squares / tomogram.len() as f64).sqrt()) as f32;
+        tomogram.mapv_inplace(|value| (value - noise).max(0.0));
+        let expected = projections(&tomogram, &grid.geometry(tilts(&held)));
+        let each = held.into_iter().enumerate().map(|(at, view)| (view, expected.index_axis(Axis(0), at).to_owned()));
+        all.extend(each);
+    }
+    all
+}
+
+/// How well views agree: the correlation of what each shows with what the tomogram of the others, projected, has there, summed over the
+/// views.
+pub(super) fn agreement(views: &[FitView], depth: [f64; 2]) -> f64 {
+    let views: Vec<FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).cloned().collect();
+    if views.len() < LEAST_VIEWS {
+        return 0.0;
+    }
+    let grid = Grid::new(&views[0], depth, MOST_VOXELS);
+    let images = shown(&views, &grid, LAST_BLUR);
+    let each = by_groups(&views, &images, &grid);
+    each.into_iter().map(|(view, expected)| correlation(&images[view], expected.view())).sum()
+}
+
+/// Takes out of moves what only moves the foil, `x = X cos a + Z sin a`, `y = Y`, by least squares, and what only magnifies it.
+fn hold_frame(moves: &mut [Displaced], views: &[FitView]) {
+    let count = moves.len() as f64;
+    let [mut cc, mut cs, mut ss, mut cx, mut sx] = [0.0; 5];
+    for (by, view) in moves.iter().zip(views) {
         let (sin, cos) = view.pose.tilt_rad.sin_cos();
         cc += cos * cos;
         cs += cos * sin;
         ss += sin * sin;
-        cx += cos * shift.x;
-        sx += sin * shift.x;
-        y += shift.y / shifts.len() as f64;
+        cx += cos * by.shift.x;
+        sx += sin * by.shift.x;
     }
+    let y = moves.iter().map(|by| by.shift.y).sum::<f64>() / count;
+    let log_scale = moves.iter().map(|by| by.log_scale).sum::<f64>() / count;
     let determinant = cc * ss - cs * cs;
     let [x, z] = if determinant > 1e-9 {
         [(cx * ss - sx * cs) / determinant, (sx * cc - cx * cs) / determinant]
     } else {
         [0.0; 2]
     };
-    for (shift, view) in shifts.iter_mut().zip(views) {
+    for (by, view) in moves.iter_mut().zip(views) {
         let (sin, cos) = view.pose.tilt_rad.sin_cos();
-        *shift -= Vector2::new(x * cos + z * sin, y);
+        by.shift -= Vector2::new(x * cos + z * sin, y);
+        by.log_scale -= log_scale;
+    }
+}
+
+/// The first two views, the pair, keep their rows: they turn, grow and move along the axis as one.
+fn hold_pair(moves: &mut [Displaced]) {
+    if let [left, right, ..] = moves {
+        let turn_rad = 0.5 * (left.turn_rad + right.turn_rad);
+        let log_scale = 0.5 * (left.log_scale + right.log_scale);
+        let down = 0.5 * (left.shift.y + right.shift.y);
+        for by in [left, right] {
+            *by = Displaced { shift: Vector2::new(by.shift.x, down), turn_rad, log_scale };
+        }
     }
 }
 
@@ -151,29 +173,10 @@ fn hold_frame(shifts: &mut [Vector2], views: &[FitView]) {
 mod tests {
     use super::*;
     use crate::curve::TraceGraph;
-    use crate::geometry::Point3;
+    use crate::geometry::{Point2, Point3};
     use crate::series::{LineIndex, ViewLines};
-    use crate::simulate::draw::union_of_profiles;
 
-    /// What lies 3.4 px to the right and 1.7 px up of where it is expected is found there; what is further away than the reach is not.
-    #[test]
-    fn a_shift_is_found_with_its_signs() {
-        let drawn = |x: f64, y: f64| {
-            let at = |a: f64, b: f64| Point2::new(a + x, b + y);
-            union_of_profiles(
-                [80, 90],
-                &[vec![at(30.0, 20.0), at(60.0, 55.0)], vec![at(60.0, 25.0), at(35.0, 60.0)]],
-                2.0,
-            )
-        };
-        let found = best_shift(&drawn(3.4, -1.7), drawn(0.0, 0.0).view(), 6);
-        assert!((found - Vector2::new(3.4, -1.7)).norm() < 0.1, "{found}");
-        let far = best_shift(&drawn(12.0, 0.0), drawn(0.0, 0.0).view(), 4);
-        assert!(far.norm() < 4.0);
-        assert_eq!(best_shift(&drawn(0.0, 0.0), drawn(0.0, 0.0).view(), 40), Vector2::zeros());
-    }
-
-    /// A foil that moves as a whole moves no view against another.
+    /// A foil that moves and grows as a whole moves no view against another.
     #[test]
     fn the_frame_does_not_move() {
         let view = |index: usize| {
@@ -182,14 +185,27 @@ mod tests {
             FitView::new(index, ViewPose::new(tilt_rad, 0.0, 1.0, Point2::origin()), lines)
         };
         let views: Vec<FitView> = (0..6).map(view).collect();
-        let of_foil = |view: &FitView| view.pose.project(&Point3::new(3.0, -2.0, 7.0)).coords;
-        let mut shifts: Vec<Vector2> = views.iter().map(of_foil).collect();
-        hold_frame(&mut shifts, &views);
-        assert!(shifts.iter().all(|shift| shift.norm() < 1e-9), "{shifts:?}");
+        let of_foil = |view: &FitView| Displaced {
+            shift: view.pose.project(&Point3::new(3.0, -2.0, 7.0)).coords,
+            turn_rad: 0.0,
+            log_scale: 0.01,
+        };
+        let mut moves: Vec<Displaced> = views.iter().map(of_foil).collect();
+        hold_frame(&mut moves, &views);
+        assert!(moves.iter().all(|by| by.shift.norm() < 1e-9 && by.log_scale.abs() < 1e-12), "{moves:?}");
         // One view by itself does move.
-        let mut shifts = vec![Vector2::zeros(); 6];
-        shifts[2] = Vector2::new(1.0, 1.0);
-        hold_frame(&mut shifts, &views);
-        assert!(shifts[2].norm() > 0.8 && shifts[2].norm() < 1.4);
+        let mut moves = vec![Displaced::NONE; 6];
+        moves[2].shift = Vector2::new(1.0, 1.0);
+        hold_frame(&mut moves, &views);
+        assert!(moves[2].shift.norm() > 0.8 && moves[2].shift.norm() < 1.4);
+    }
+
+    /// The rows of the pair stay what they are; against each other its views move along them only.
+    #[test]
+    fn the_pair_moves_as_one() {
+        let by = |x: f64, y: f64, turn_rad: f64| Displaced { shift: Vector2::new(x, y), turn_rad, log_scale: turn_rad };
+        let mut moves = [by(1.0, 2.0, 0.02), by(-1.0, 0.0, 0.0), by(5.0, 5.0, 0.1)];
+        hold_pair(&mut moves);
+        assert_eq!(moves, [by(1.0, 1.0, 0.01), by(-1.0, 1.0, 0.01), by(5.0, 5.0, 0.1)]);
     }
 }

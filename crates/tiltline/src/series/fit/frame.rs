@@ -338,8 +338,7 @@ mod tests {
             left_out: Vec::new(),
             curves,
         };
-        let [silent, decisive] =
-            [false, true].map(|is_decisive| Volume { curves: Vec::new(), is_decisive, strength: 0.0 });
+        let [silent, decisive] = [false, true].map(|is_decisive| Volume { curves: Vec::new(), is_decisive });
         let well_found = || vec![curve(0.9, 100), curve(0.3, 20), curve(0.85, 60), curve(0.7, 50)];
         assert_eq!(kept(&grown(well_found(), 9), &[1.0, 1.0, 1.0, 0.0], &silent), [0, 2, 3]);
         assert_eq!(kept(&grown(well_found(), 9), &[1.0, 1.0, 1.0, 0.0], &decisive), [0, 2]);

@@ -3,6 +3,7 @@
 use ndarray::Array2;
 
 use super::FitView;
+use super::evidence::evidence;
 use crate::filter::gaussian_blur;
 use crate::geometry::{Point2, Point3, Similarity2, Vector2, Vector3};
 use crate::rectify::resample::{bounds, resample};
@@ -38,16 +39,30 @@ impl Grid {
 
     /// The probabilities of lines in a view on the grid, 0 where it has none. What lies in the middle layer is where it is without tilt.
     pub fn image(&self, view: &FitView) -> Array2<f32> {
+        self.placed(view, view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0))
+    }
+
+    /// The evidence for lines in a view on the grid, likewise.
+    pub fn evidence(&self, view: &FitView) -> Array2<f32> {
+        self.placed(view, evidence(view.lines.lines()))
+    }
+
+    fn placed(&self, view: &FitView, mut image: Array2<f32>) -> Array2<f32> {
         let shift = -self.low.coords - Vector2::new(self.middle_z * view.pose.tilt_rad.sin(), 0.0);
         let mut map = view.pose.image_from_projection.inverse();
         map.isometry.translation.vector += shift;
         let map = Similarity2::from_scaling(1.0 / self.px) * map;
-        let mut probability = view.lines.lines().probability.mapv(|value| f32::from(value) / 255.0);
         if self.px > 1.0 {
-            probability = gaussian_blur(&probability, SHRUNK_BLUR * self.px);
+            image = gaussian_blur(&image, SHRUNK_BLUR * self.px);
         }
-        let moved = resample(&probability.view(), &map, [self.height, self.width]);
+        let moved = resample(&image.view(), &map, [self.height, self.width]);
         moved.mapv_into(|value| if value.is_finite() { value } else { 0.0 })
+    }
+
+    /// Where the middle of the grid lies in the projected plane of a view.
+    pub fn middle(&self, view: &FitView) -> Point2 {
+        let half = Vector2::new(0.5 * (self.width as f64 - 1.0), 0.5 * (self.height as f64 - 1.0)) * self.px;
+        self.low + Vector2::new(self.middle_z * view.pose.tilt_rad.sin(), 0.0) + half
     }
 
     /// The width of a line on the grid, px, and its height against what they are in a view: a blurred line is wider and fainter.

@@ -52,7 +52,7 @@ impl Grown {
 }
 
 /// The point that two views at different tilts show at `seen` in their projections: `x = X cos a + Z sin a`, `y = Y`.
-fn shown_by_both(tilts_rad: [f64; 2], seen: [Point2; 2]) -> Point3 {
+pub(super) fn shown_by_both(tilts_rad: [f64; 2], seen: [Point2; 2]) -> Point3 {
     let [(sin, cos), (other_sin, other_cos)] = tilts_rad.map(f64::sin_cos);
     let determinant = cos * other_sin - sin * other_cos;
     Point3::new(

@@ -9,9 +9,11 @@
 //! [`settle`] finds poses by them where the pair's curves are wrong.
 
 mod consensus;
+mod evidence;
 mod frame;
 mod grid;
 mod grow;
+mod likeness;
 mod observe;
 mod settle;
 mod solve;
@@ -40,6 +42,8 @@ pub struct FitSettings {
     pub tilt_sigma_deg: f64,
     /// One-sigma prior of the turn of a view against that of the pair, degrees.
     pub turn_sigma_deg: f64,
+    /// One-sigma prior of the direction of the tilt axis, which all views share, degrees.
+    pub axis_sigma_deg: f64,
     /// One-sigma prior of the relative magnification of a view.
     pub scale_sigma: f64,
     /// One-sigma prior of the rows of the pair's views against each other, px, in the middle of an image and at a quarter of its longer
@@ -58,6 +62,7 @@ impl Default for FitSettings {
         Self {
             tilt_sigma_deg: 0.1,
             turn_sigma_deg: 0.6,
+            axis_sigma_deg: 1.0,
             scale_sigma: 0.003,
             pair_row_sigma_px: 0.3,
             roughness: 1e-3,
@@ -291,6 +296,18 @@ impl Problem {
             // Lines that run along the tilt axis hardly show a turn of the pair's views against each other: it looks like depth. The
             // rectification knows it from the rows of points that are no lines.
             hold(&[(2, -1.0), (PER_VIEW + 2, 1.0)], off(1).1 - off(0).1, pair_sigma);
+        }
+        // Turns of views are independent of each other but for the error of the axis, which they share: their covariance is
+        // turn^2 I + axis^2 (1 1'), and this is what its inverse has less than I / turn^2.
+        let axis_sigma = settings.axis_sigma_deg.max(0.0).to_radians();
+        let shared =
+            axis_sigma.powi(2) / (turn_sigma.powi(2) * (turn_sigma.powi(2) + count as f64 * axis_sigma.powi(2)));
+        let turned: f64 = (0..count).map(|index| off(index).1).sum();
+        for a in 0..count {
+            right[PER_VIEW * a + 2] += shared * turned;
+            for b in 0..count {
+                matrix[(PER_VIEW * a + 2, PER_VIEW * b + 2)] -= shared;
+            }
         }
         // The mean of the errors of tilt: sum(delta) / n = 0.
         let sigma = MEAN_TILT_SIGMA_DEG.to_radians() * count as f64;

@@ -318,7 +318,9 @@ fn the_pair_keeps_its_rows() {
         approx::assert_relative_eq!(cost(&problem, 1, shift(across)), rows.powi(-2), max_relative = 1e-3);
         assert!(cost(&problem, 1, shift(along)) > 1e6 && cost(&problem, 0, shift(across)) > 1e6);
         assert!(cost(&problem, 2, shift(across)) < 1e-2 && cost(&problem, 2, shift(along)) < 1e-2);
-        let turn = (rows / 128.0).powi(-2) + settings.turn_sigma_deg.to_radians().powi(-2);
+        // Of three views, one turned alone: what the others do not share.
+        let [of_view, of_axis] = [settings.turn_sigma_deg, settings.axis_sigma_deg].map(|deg| deg.to_radians().powi(2));
+        let turn = (rows / 128.0).powi(-2) + (1.0 - of_axis / (of_view + 3.0 * of_axis)) / of_view;
         approx::assert_relative_eq!(cost(&problem, 1, [0.0, 0.0, 1.0, 0.0, 0.0]), turn, max_relative = 1e-9);
         // A view that is off is asked back: by as much and the other way.
         problem.views[1].pose = problem.views[1].pose.changed(0.0, 0.001, 0.0, across * 0.5, &Point2::origin());
@@ -327,4 +329,31 @@ fn the_pair_keeps_its_rows() {
         approx::assert_relative_eq!(asked, -0.5 * rows.powi(-2), max_relative = 1e-3);
         assert!(right[PER_VIEW + 2] < 0.0 && right[2] > 0.0);
     }
+}
+
+/// All views share the error of the axis: it costs less than turns of each view that are as large, and the fit finds it.
+#[test]
+fn an_axis_that_is_off_by_a_degree_is_found() {
+    let settings = FitSettings::default();
+    let (truth, mut views) = views(&tilts(9), 0.0, 4);
+    for (view, pose) in views.iter_mut().zip(&truth) {
+        view.pose = pose.changed(0.0, 1.0_f64.to_radians(), 0.0, Vector2::zeros(), &Point2::origin());
+    }
+    let mut problem = Problem::new(&starts(2.0), views, &settings);
+    // A turn of all views together is known as well as one number with both variances, over n views: n / (turn^2 + n axis^2).
+    let all = DVector::from_fn(9 * PER_VIEW, |place, _| if place % PER_VIEW == 2 { 1.0 } else { 0.0 });
+    let [turn, axis] = [settings.turn_sigma_deg, settings.axis_sigma_deg].map(f64::to_radians);
+    let information = 9.0 / (turn * turn + 9.0 * axis * axis);
+    approx::assert_relative_eq!((problem.prior(&settings).matrix * &all).dot(&all), information, max_relative = 1e-6);
+    let start = problem.views.clone();
+    for view in &mut problem.views {
+        view.pose = view.pose.changed(0.0, 0.001, 0.0, Vector2::zeros(), &Point2::origin());
+    }
+    approx::assert_relative_eq!(problem.prior(&settings).right.dot(&all), -0.001 * information, max_relative = 1e-6);
+    problem.views = start;
+    problem.run(10, [6.0, 3.0], &settings);
+    problem.run(20, [3.0; 2], &settings);
+    let off = problem.views.iter().zip(&truth).map(|(view, pose)| view.pose.axis_rad() - pose.axis_rad());
+    let off = (off.sum::<f64>() / 9.0).to_degrees();
+    assert!(off.abs() < 0.1, "{off}");
 }

@@ -23,7 +23,7 @@ const BEYOND: f64 = 0.15;
 const LINE_SIGMA_PX: f64 = 1.3;
 /// A voxel belongs to a line from so many times the root mean square of a tomogram of chance on, of the same views where their lines
 /// do not belong together.
-pub(super) const ABOVE_CHANCE: f64 = 10.0;
+const ABOVE_CHANCE: f64 = 10.0;
 /// No more than this share of them is there by chance.
 const MOST_BY_CHANCE: f64 = 0.1;
 /// And with n views from this over n^3 on of the value of a line that all views are sure of (with three views nothing is sure enough):
@@ -49,21 +49,18 @@ pub(super) struct Volume {
     pub curves: Vec<StartCurve>,
     /// Whether views are so many, and show so few other lines, that a line that is seen in them is in the tomogram.
     pub is_decisive: bool,
-    /// How much there is of lines: the sum of the squares of what voxels have beyond the threshold, relative to it.
-    pub strength: f64,
 }
 
 impl Volume {
-    /// The tomogram of the views, about as deep as the known curves, and the curves in it whose voxels are `above` times the root mean square
-    /// of chance.
-    pub fn new(views: &[FitView], known: &[FittedCurve], above: f64) -> Self {
-        let none = Self { curves: Vec::new(), is_decisive: false, strength: 0.0 };
-        depth_of(known).map_or(none, |depth| Self::between(views, depth, above, MOST_VOXELS))
+    /// The tomogram of the views, about as deep as the known curves, and the curves in it.
+    pub fn new(views: &[FitView], known: &[FittedCurve]) -> Self {
+        let none = Self { curves: Vec::new(), is_decisive: false };
+        depth_of(known).map_or(none, |depth| Self::between(views, depth, MOST_VOXELS))
     }
 
     /// The tomogram of the views between two depths, px, and the curves in it; see [`Volume::new`].
-    fn between(views: &[FitView], depth: [f64; 2], above: f64, most_voxels: f64) -> Self {
-        let none = Self { curves: Vec::new(), is_decisive: false, strength: 0.0 };
+    fn between(views: &[FitView], depth: [f64; 2], most_voxels: f64) -> Self {
+        let none = Self { curves: Vec::new(), is_decisive: false };
         let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
         let Some(first) = views.first() else { return none };
         let grid = Grid::new(first, depth, most_voxels);
@@ -78,18 +75,17 @@ impl Volume {
         drop(images);
         let (Some(tomogram), Some(sure), Some(chance)) = (tomogram, sure, chance) else { return none };
         let few = FEW / (views.len() as f64).powi(3);
-        let least = (above * rms(&chance)).max(few.max(LEAST_SHARE) * sure);
+        let least = (ABOVE_CHANCE * rms(&chance)).max(few.max(LEAST_SHARE) * sure);
         let Some(threshold) = beyond_chance(&tomogram, &chance, least) else { return none };
         let share = threshold / sure;
         let threshold = threshold as f32;
-        let strength = tomogram.iter().map(|value| f64::from((value / threshold - 1.0).max(0.0)).powi(2)).sum();
         let found = curves(&tomogram, &geometry, threshold, &CurveSettings::default());
         let start = |curve: crate::tomography::curves::VolumeCurve| StartCurve {
             sigma_z: vec![SIGMA_Z * grid.px; curve.points.len()],
             points: curve.points.into_iter().map(|point| grid.in_frame(point)).collect(),
             closed: curve.closed,
         };
-        Self { curves: found.into_iter().map(start).collect(), is_decisive: share <= DECISIVE_SHARE, strength }
+        Self { curves: found.into_iter().map(start).collect(), is_decisive: share <= DECISIVE_SHARE }
     }
 
     /// For each curve the share of its points that lie on one of the tomogram.
@@ -259,9 +255,9 @@ mod tests {
         let tilts: Vec<f64> = (-8..=8).map(|step| 6.0 * f64::from(step)).collect();
         let views = views(&tilts, 0.3);
         for (most_voxels, accepted) in [(1e9, 2.0), (4e5, 4.0)] {
-            let found = Volume::between(&views, [0.0, 40.0], ABOVE_CHANCE, most_voxels);
+            let found = Volume::between(&views, [0.0, 40.0], most_voxels);
             let (worst, seen) = off(&found.curves);
-            assert!(worst < accepted && seen > 0.9 && found.strength > 0.0, "{worst} {seen} {}", found.strength);
+            assert!(worst < accepted && seen > 0.9, "{worst} {seen}");
         }
     }
 
@@ -284,8 +280,8 @@ mod tests {
             views.into_iter().map(with_more).collect()
         };
         let length = |found: &Volume| found.curves.iter().map(|curve| curve.points.len()).sum::<usize>();
-        let without = Volume::between(&crowded(views(&tilts, 0.0), &mut rng), [0.0, 40.0], ABOVE_CHANCE, 1e9);
-        let with = Volume::between(&crowded(views(&tilts, 1.0), &mut rng), [0.0, 40.0], ABOVE_CHANCE, 1e9);
+        let without = Volume::between(&crowded(views(&tilts, 0.0), &mut rng), [0.0, 40.0], 1e9);
+        let with = Volume::between(&crowded(views(&tilts, 1.0), &mut rng), [0.0, 40.0], 1e9);
         assert!(off(&with.curves).1 > 0.8, "{}", off(&with.curves).1);
         assert!(10 * length(&without) < length(&with), "{} {}", length(&without), length(&with));
     }
@@ -309,7 +305,7 @@ mod tests {
     fn with_few_views_most_must_be_sure() {
         let tilts = [-30.0, -10.0, 10.0, 30.0];
         let (sure, blind) = (views(&tilts, 1.0), views(&tilts, 0.0));
-        let found = |views: &[FitView]| off(&Volume::between(views, [0.0, 40.0], ABOVE_CHANCE, 1e9).curves).1;
+        let found = |views: &[FitView]| off(&Volume::between(views, [0.0, 40.0], 1e9).curves).1;
         assert!(found(&sure) > 0.5);
         let two: Vec<FitView> = sure[..2].iter().chain(&blind[2..]).cloned().collect();
         assert!(found(&two) < 0.01);
@@ -331,7 +327,7 @@ mod tests {
             closed: false,
             support: 1.0,
         };
-        let volume = Volume { curves: vec![start(0.0)], is_decisive: true, strength: 1.0 };
+        let volume = Volume { curves: vec![start(0.0)], is_decisive: true };
         assert_eq!(volume.confirmed(&[fitted(1.0), fitted(9.0)]), [1.0, 0.0]);
         assert!(volume.away_from([fitted(1.0)].iter()).is_empty());
         assert_eq!(volume.away_from([fitted(9.0)].iter()), [start(0.0)]);
