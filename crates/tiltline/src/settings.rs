@@ -76,6 +76,7 @@ impl Settings {
             ("refine.max_distance_px", self.refine.max_distance_px, not_negative, "0 or more"),
             ("series.tilt_sigma_deg", self.series.tilt_sigma_deg, not_negative, "0 or more"),
             ("series.turn_sigma_deg", self.series.turn_sigma_deg, not_negative, "0 or more"),
+            ("series.axis_sigma_deg", self.series.axis_sigma_deg, not_negative, "0 or more"),
             ("series.scale_sigma", self.series.scale_sigma, not_negative, "0 or more"),
             ("series.pair_row_sigma_px", self.series.pair_row_sigma_px, not_negative, "0 or more"),
             ("series.roughness", self.series.roughness, positive, "more than 0"),
