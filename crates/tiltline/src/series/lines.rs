@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ndarray::Array2;
+use ndarray::{Array2, Zip};
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
@@ -19,8 +19,10 @@ use crate::trace::{TraceSettings, trace};
 const BACKGROUND_PX: f64 = 12.0;
 /// Standard deviation of the smoothing of contrast, px: as wide as a line.
 const LINE_PX: f64 = 1.0;
-/// A view that differs from its background by less is the same everywhere.
-const LEAST_SIGMA: f64 = 1e-5;
+/// Standard deviation of the mean that is the noise about a pixel, px.
+const NOISE_PX: f64 = 36.0;
+/// A place that differs from its background by less is the same everywhere.
+const LEAST_SIGMA: f32 = 1e-5;
 
 /// Lines found in one view, in its input px.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,7 +35,7 @@ pub struct ViewLines {
     /// only the centrelines are known.
     pub probability: Arc<Array2<u8>>,
     /// How much darker than its surroundings a pixel is, smoothed to the width of a line, in steps of [`ViewLines::CONTRAST_STEP`] standard
-    /// deviations of the view; 0 by 0 where it is not known.
+    /// deviations of the image about it; 0 by 0 where it is not known.
     pub contrast: Arc<Array2<i8>>,
 }
 
@@ -54,12 +56,16 @@ pub fn detect_lines(image: &Micrograph, detector: &dyn Detect, settings: &TraceS
 
 /// See [`ViewLines::contrast`].
 fn contrast(pixels: &Array2<f32>) -> Array2<i8> {
-    let darker = gaussian_blur(&flattened(pixels, BACKGROUND_PX).mapv_into(|value| -value), LINE_PX);
-    let squares: f64 = darker.iter().map(|value| f64::from(*value).powi(2)).sum();
-    let sigma = (squares / darker.len().max(1) as f64).sqrt();
-    // An image without any contrast has that of its rounding.
-    let per_step = if sigma > LEAST_SIGMA { 1.0 / (ViewLines::CONTRAST_STEP * sigma as f32) } else { 0.0 };
-    darker.mapv(|value| (per_step * value).round().clamp(-127.0, 127.0) as i8)
+    let mut darker = gaussian_blur(&flattened(pixels, BACKGROUND_PX).mapv_into(|value| -value), LINE_PX);
+    // Noise is not the same everywhere; where there is no data there is none.
+    let known = gaussian_blur(&darker.mapv(|value| if value == 0.0 { 0.0 } else { 1.0 }), NOISE_PX);
+    let squares = gaussian_blur(&darker.mapv(|value| value * value), NOISE_PX);
+    Zip::from(&mut darker).and(&squares).and(&known).for_each(|value, square, known| {
+        let sigma = (square / known.max(1e-3)).sqrt();
+        // What has no contrast has that of its rounding.
+        *value = if sigma > LEAST_SIGMA { *value / (ViewLines::CONTRAST_STEP * sigma) } else { 0.0 };
+    });
+    darker.mapv(|value| value.round().clamp(-127.0, 127.0) as i8)
 }
 
 /// A "pair" of one image, for detectors, which look at pairs.

@@ -4,6 +4,8 @@
 //! Views are dealt into groups by their tilts. Each group is held against a tomogram of the others, projected at its tilts, so
 //! that no view is drawn to itself; it moves by the shift, turn and magnification at which the two agree best.
 
+use std::collections::BTreeMap;
+
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
 
@@ -23,8 +25,6 @@ const GROUPS: usize = 5;
 const LEAST_VIEWS: usize = GROUPS;
 /// Rounds: blur, voxels, and the largest shift, px.
 const ROUNDS: [(f64, f64); 5] = [(2.0, 12.0), (1.5, 8.0), (1.0, 5.0), (0.7, 3.0), (0.7, 3.0)];
-/// Blur of the last round.
-const LAST_BLUR: f64 = 0.7;
 /// What a tomogram has below so many times its root mean square is noise.
 const NOISE: f64 = 2.0;
 
@@ -34,7 +34,8 @@ pub(super) fn in_consensus(views: &[FitView], depth: [f64; 2], settings: &FitSet
     let mut poses: Vec<ViewPose> = views.iter().map(|view| view.pose).collect();
     let shown: Vec<usize> =
         (0..views.len()).filter(|view| !views[*view].lines.lines().probability.is_empty()).collect();
-    if shown.len() >= LEAST_VIEWS {
+    // Without one of the pair there is no frame to hold.
+    if shown.len() >= LEAST_VIEWS && shown[..2] == [0, 1] {
         let those: Vec<FitView> = shown.iter().map(|view| views[*view].clone()).collect();
         for (view, pose) in shown.into_iter().zip(matched(those, depth, settings)) {
             poses[view] = pose;
@@ -49,16 +50,20 @@ fn matched(views: Vec<FitView>, depth: [f64; 2], settings: &FitSettings) -> Vec<
     let count = moved.len();
     let grid = Grid::new(&moved[0], depth, MOST_VOXELS);
     let starts: Vec<ViewPose> = moved.iter().map(|view| view.pose).collect();
+    let turn_sigma = settings.turn_sigma_deg.max(1e-6).to_radians();
     for (blur, reach_px) in ROUNDS {
-        let images = shown(&moved, &grid, blur);
-        // All views may turn with the axis, which is not known as well as a view's turn against the others.
+        let views: Vec<&FitView> = moved.iter().collect();
+        let images = shown(&views, &grid, blur);
+        // What views turn together is more likely the axis than each of them: of their mean this share.
         let turned: Vec<f64> = moved.iter().zip(&starts).map(|(view, start)| turn(start, &view.pose)).collect();
-        let together = turned.iter().sum::<f64>() / count as f64;
+        let [of_view, of_axis] = [turn_sigma, settings.axis_sigma_deg.to_radians()].map(|sigma| sigma * sigma);
+        let share = count as f64 * of_axis / (of_view + count as f64 * of_axis);
+        let together = share * turned.iter().sum::<f64>() / count as f64;
         let reach = (reach_px / grid.px).ceil() as usize;
-        let found = by_groups(&moved, &images, &grid).into_par_iter().map(|(view, expected)| {
+        let found = by_groups(&views, &images, &grid).into_par_iter().map(|(view, expected)| {
             let prior = Expected {
                 turn_rad: together - turned[view],
-                turn_sigma: settings.turn_sigma_deg.max(1e-6).to_radians(),
+                turn_sigma,
                 log_scale: (starts[view].scale() / moved[view].pose.scale()).ln(),
                 scale_sigma: settings.scale_sigma.max(1e-9),
             };
@@ -86,12 +91,12 @@ fn turn(from: &ViewPose, to: &ViewPose) -> f64 {
 }
 
 /// The evidence of views on the grid, blurred.
-fn shown(views: &[FitView], grid: &Grid, blur: f64) -> Vec<Array2<f32>> {
-    views.par_iter().map(|view| gaussian_blur(&grid.evidence(view), blur)).collect()
+fn shown(views: &[&FitView], grid: &Grid, blur: f64) -> Vec<Array2<f32>> {
+    views.iter().map(|view| gaussian_blur(&grid.evidence(view), blur)).collect()
 }
 
 /// For each view what is expected there: the tomogram of the views of other groups, projected.
-fn by_groups(views: &[FitView], images: &[Array2<f32>], grid: &Grid) -> Vec<(usize, Array2<f32>)> {
+fn by_groups(views: &[&FitView], images: &[Array2<f32>], grid: &Grid) -> Vec<(usize, Array2<f32>)> {
     let mut order: Vec<usize> = (0..views.len()).collect();
     order.sort_by(|&a, &b| views[a].pose.tilt_rad.total_cmp(&views[b].pose.tilt_rad));
     let mut all = Vec::new();
@@ -117,17 +122,18 @@ fn by_groups(views: &[FitView], images: &[Array2<f32>], grid: &Grid) -> Vec<(usi
     all
 }
 
-/// How well views agree: the correlation of what each shows with what the tomogram of the others, projected, has there, summed over the
-/// views.
-pub(super) fn agreement(views: &[FitView], depth: [f64; 2]) -> f64 {
-    let views: Vec<FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).cloned().collect();
+/// How well each view, by its place in the series, agrees with the others: the correlation of what it shows with what the tomogram of the
+/// others, projected, has there, on the grid of `first`. Nothing with fewer than [`LEAST_VIEWS`].
+pub(super) fn agreement(views: &[FitView], first: &FitView, depth: [f64; 2]) -> BTreeMap<usize, f64> {
+    let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
     if views.len() < LEAST_VIEWS {
-        return 0.0;
+        return BTreeMap::new();
     }
-    let grid = Grid::new(&views[0], depth, MOST_VOXELS);
-    let images = shown(&views, &grid, LAST_BLUR);
+    let grid = Grid::new(first, depth, MOST_VOXELS);
+    let [.., (blur, _)] = ROUNDS;
+    let images = shown(&views, &grid, blur);
     let each = by_groups(&views, &images, &grid);
-    each.into_iter().map(|(view, expected)| correlation(&images[view], expected.view())).sum()
+    each.into_iter().map(|(view, expected)| (views[view].view, correlation(&images[view], expected.view()))).collect()
 }
 
 /// Takes out of moves what only moves the foil, `x = X cos a + Z sin a`, `y = Y`, by least squares, and what only magnifies it.

@@ -4,7 +4,7 @@
 //! A detector looks at one view. Lines that are hardly there in any view have next to no probability in all of them, while noise, which
 //! is another in every view, averages out in a tomogram of the views themselves. Log-likelihood ratios add up over views: that of the
 //! detector is the logarithm of its odds; that of a line of contrast `w` in noise of unit variance is `w c - w^2 / 2` where the pixel
-//! differs from its surroundings by `c`. Both come from the same image, and the second is taken for less than it says.
+//! differs from its surroundings by `c` (`w^2 / 2` is left out: nothing is 0, beyond the borders of an image too). Both come from the same image, and the second is taken for less than it says.
 
 use ndarray::{Array2, Zip};
 

@@ -89,8 +89,8 @@ pub fn reconstruct_series(
     let mut reconstruction = in_pair_form(result, &grown, &confirmed, &found, series, detector, settings);
     if is_aligned {
         let message = format!(
-            "the curves of the pair lie on the lines of few other views; the {} views lie as the alignment of the series and the lines \
-             that they show together say. Look at the curves in other views (tiltline reproject), and try another --pair",
+            "the {} views agree better where the alignment of the series and what they show together puts them than where the curves of the pair \
+             do, which are then wrong in part. Look at the curves in other views (tiltline reproject), and try another --pair",
             grown.views.len()
         );
         reconstruction.warnings.push(Warning::new(Stage::Refine, message));

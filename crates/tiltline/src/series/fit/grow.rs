@@ -134,7 +134,7 @@ pub(super) fn aligned_views(
 
 /// Poses of aligned views in the frame of a pair, turned and magnified as its first view. Where its origin lies in the frame of the
 /// alignment follows from where the two views of the pair show it; in the others that point moves with the tilt.
-pub(super) fn placed(pair: [(usize, ViewPose); 2], tilts_rad: &[f64], aligned: &[ViewPose]) -> Vec<ViewPose> {
+fn placed(pair: [(usize, ViewPose); 2], tilts_rad: &[f64], aligned: &[ViewPose]) -> Vec<ViewPose> {
     let mid = 0.5 * (tilts_rad[pair[0].0] + tilts_rad[pair[1].0]);
     let (axis_rad, scale) = (pair[0].1.axis_rad(), pair[0].1.scale());
     let about = |view: usize| ViewPose::new(tilts_rad[view] - mid, axis_rad, scale, aligned[view].origin());

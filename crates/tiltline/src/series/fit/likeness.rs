@@ -55,20 +55,42 @@ pub(super) fn displaced(
     blur: f64,
     prior: &Expected,
 ) -> Displaced {
-    let mut found = Displaced { shift: best_shift(image, expected, reach), ..Displaced::NONE };
+    let mut now = Displaced { shift: best_shift(image, expected, reach), ..Displaced::NONE };
     let (height, width) = image.dim();
     let middle = Point2::new(0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
-    for _ in 0..STEPS {
-        let moved = resample(&image.view(), &found.map(&middle).inverse(), [height, width]);
-        let Some(step) = step(&moved, expected, &middle, blur, prior, &found) else { return found };
+    // The likeliest so far, and the noise at first.
+    let mut best = (f64::NEG_INFINITY, now);
+    let mut noise = None;
+    for _ in 0..=STEPS {
+        let moved = resample(&image.view(), &now.map(&middle).inverse(), [height, width]);
+        let Some(alike) = Alike::new(&moved, expected) else { break };
+        let noise = *noise.get_or_insert(alike.noise());
+        let likelihood = prior.log_likelihood(&now) - 0.5 * alike.unexplained / (noise * independent(blur));
+        if likelihood <= best.0 || now.shift.norm() > reach as f64 + 1.0 {
+            break;
+        }
+        best = (likelihood, now);
+        let Some(step) = alike.step(&moved, expected, &middle, noise * independent(blur), prior, &now) else { break };
         // No further than an image is known to go on as its slopes say.
         let longest = Vector2::new(step[0], step[1]).norm().max((step[2].abs() + step[3].abs()) * 0.25 * width as f64);
         let step = step * (MOST_STEP_PX / longest.max(MOST_STEP_PX));
-        found.shift += Vector2::new(step[0], step[1]);
-        found.turn_rad += step[2];
-        found.log_scale += step[3];
+        now.shift += Vector2::new(step[0], step[1]);
+        now.turn_rad += step[2];
+        now.log_scale += step[3];
     }
-    found
+    best.1
+}
+
+/// Pixels of a blurred image that tell as much as one of independent noise.
+fn independent(blur: f64) -> f64 {
+    (4.0 * std::f64::consts::PI * blur * blur).max(1.0)
+}
+
+impl Expected {
+    fn log_likelihood(&self, at: &Displaced) -> f64 {
+        let off = [(at.turn_rad - self.turn_rad) / self.turn_sigma, (at.log_scale - self.log_scale) / self.scale_sigma];
+        -0.5 * off.iter().map(|off| off * off).sum::<f64>()
+    }
 }
 
 /// The correlation coefficient of an image with what is expected; 0 where one of them is the same everywhere.
@@ -86,71 +108,86 @@ pub(super) fn correlation(image: &Array2<f32>, expected: ArrayView2<'_, f32>) ->
     if spread > 0.0 { (ab - a * b) / spread } else { 0.0 }
 }
 
-/// The Gauss-Newton step of shift, turn and magnification at which the moved image is most like what is expected.
-fn step(
-    moved: &Array2<f32>,
-    expected: ArrayView2<'_, f32>,
-    middle: &Point2,
-    blur: f64,
-    prior: &Expected,
-    now: &Displaced,
-) -> Option<Vector4<f64>> {
-    let (height, width) = moved.dim();
-    let known = |row: usize, column: usize| {
-        [
-            moved[[row, column]],
-            moved[[row, column - 1]],
-            moved[[row, column + 1]],
-            moved[[row - 1, column]],
-            moved[[row + 1, column]],
-        ]
-        .iter()
-        .all(|value| value.is_finite())
-    };
-    let (mut count, mut sums) = (0.0, [0.0; 5]);
-    for row in 1..height - 1 {
-        for column in (1..width - 1).filter(|column| known(row, *column)) {
+/// An image as what is expected, times a gain, and other things.
+struct Alike {
+    means: [f64; 2],
+    gain: f64,
+    /// The sum of the squares of the other things.
+    unexplained: f64,
+    count: f64,
+}
+
+/// Whether a pixel of a moved image and its neighbours lie in the image.
+fn is_known(moved: &Array2<f32>, row: usize, column: usize) -> bool {
+    let near = [(row, column), (row, column - 1), (row, column + 1), (row - 1, column), (row + 1, column)];
+    near.iter().all(|at| moved[*at].is_finite())
+}
+
+/// Pixels that [`is_known`] may be asked of.
+fn inner((height, width): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
+    (1..height.saturating_sub(1)).flat_map(move |row| (1..width.saturating_sub(1)).map(move |column| (row, column)))
+}
+
+impl Alike {
+    /// `None` where the two have nothing in common.
+    fn new(moved: &Array2<f32>, expected: ArrayView2<'_, f32>) -> Option<Self> {
+        let (mut count, mut sums) = (0.0, [0.0; 5]);
+        for (row, column) in inner(moved.dim()).filter(|(row, column)| is_known(moved, *row, *column)) {
             let (a, b) = (f64::from(moved[[row, column]]), f64::from(expected[[row, column]]));
             count += 1.0;
             for (sum, value) in sums.iter_mut().zip([a, b, a * a, b * b, a * b]) {
                 *sum += value;
             }
         }
+        let [a, b] = [sums[0] / count, sums[1] / count];
+        let [aa, bb, ab] = [sums[2] - count * a * a, sums[3] - count * b * b, sums[4] - count * a * b];
+        (aa > 0.0 && bb > 0.0 && ab > 0.0).then(|| Self {
+            means: [a, b],
+            gain: ab / bb,
+            unexplained: (aa - ab * ab / bb).max(0.0),
+            count,
+        })
     }
-    let [mean_a, mean_b] = [sums[0] / count, sums[1] / count];
-    let [aa, bb, ab] =
-        [sums[2] - count * mean_a * mean_a, sums[3] - count * mean_b * mean_b, sums[4] - count * mean_a * mean_b];
-    if !(aa > 0.0 && bb > 0.0 && ab > 0.0) {
-        return None;
+
+    /// Variance of a pixel's other things.
+    fn noise(&self) -> f64 {
+        (self.unexplained / self.count).max(1e-12)
     }
-    // The image is what is expected, times this, and other things.
-    let gain = ab / bb;
-    let noise = (aa - ab * ab / bb) / count;
-    let mut matrix = Matrix4::zeros();
-    let mut right = Vector4::zeros();
-    for row in 1..height - 1 {
-        for column in (1..width - 1).filter(|column| known(row, *column)) {
+
+    /// The Gauss-Newton step of shift, turn and magnification at which the moved image is most like what is expected; `variance` is that
+    /// of independent noise in a pixel.
+    fn step(
+        &self,
+        moved: &Array2<f32>,
+        expected: ArrayView2<'_, f32>,
+        middle: &Point2,
+        variance: f64,
+        prior: &Expected,
+        now: &Displaced,
+    ) -> Option<Vector4<f64>> {
+        let mut matrix = Matrix4::zeros();
+        let mut right = Vector4::zeros();
+        for (row, column) in inner(moved.dim()).filter(|(row, column)| is_known(moved, *row, *column)) {
             let right_of = 0.5 * f64::from(moved[[row, column + 1]] - moved[[row, column - 1]]);
             let below = 0.5 * f64::from(moved[[row + 1, column]] - moved[[row - 1, column]]);
             let (x, y) = (column as f64 - middle.x, row as f64 - middle.y);
             let change = Vector4::new(right_of, below, x * below - y * right_of, x * right_of + y * below);
-            let off = gain * (f64::from(expected[[row, column]]) - mean_b) - (f64::from(moved[[row, column]]) - mean_a);
+            let off = self.gain * (f64::from(expected[[row, column]]) - self.means[1])
+                - (f64::from(moved[[row, column]]) - self.means[0]);
             matrix += change * change.transpose();
             right += change * off;
         }
+        matrix /= variance;
+        right /= variance;
+        for (place, off, sigma) in [
+            (2, prior.turn_rad - now.turn_rad, prior.turn_sigma),
+            (3, prior.log_scale - now.log_scale, prior.scale_sigma),
+        ] {
+            matrix[(place, place)] += 1.0 / (sigma * sigma);
+            right[place] += off / (sigma * sigma);
+        }
+        matrix.cholesky().map(|factors| factors.solve(&right))
     }
-    // Neighbouring pixels of a blurred image tell the same.
-    let independent = 4.0 * std::f64::consts::PI * blur * blur;
-    let weight = 1.0 / (noise.max(1e-12) * independent.max(1.0));
-    matrix *= weight;
-    right *= weight;
-    for (place, off, sigma) in
-        [(2, prior.turn_rad - now.turn_rad, prior.turn_sigma), (3, prior.log_scale - now.log_scale, prior.scale_sigma)]
-    {
-        matrix[(place, place)] += 1.0 / (sigma * sigma);
-        right[place] += off / (sigma * sigma);
-    }
-    matrix.cholesky().map(|factors| factors.solve(&right))
 }
 
 /// By how much (columns, rows; pixels) an image is displaced against what is expected: where their correlation is largest
@@ -243,6 +280,10 @@ mod tests {
             held.turn_rad.abs() < 1e-4 && held.log_scale.abs() < 1e-4 && (held.shift - truth.shift).norm() < 0.5,
             "{held:?}"
         );
+        // What is further away than the reach is not followed there.
+        let far = Displaced { shift: Vector2::new(5.0, 0.0), ..Displaced::NONE };
+        let followed = displaced(&drawn(&far), drawn(&Displaced::NONE).view(), 2, 2.0, &known(0.05));
+        assert!(followed.shift.norm() <= 3.0, "{followed:?}");
         // Nothing to be seen moves nothing.
         let empty = Array2::zeros([140, 150]);
         assert_eq!(displaced(&empty, drawn(&truth).view(), 6, 2.0, &known(0.05)).turn_rad, 0.0);

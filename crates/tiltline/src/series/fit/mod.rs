@@ -6,7 +6,7 @@
 //! turns the foil), and the pair's views to the rows that its rectification gave them; the shift and magnification of the first
 //! view, and the shift of the second along the rows, are the frame.
 //! [`grow`] starts from a pair and takes in views by and by; [`volume`] adds the lines that only all views together show, and
-//! [`settle`] finds poses by them where the pair's curves are wrong.
+//! [`settle`] finds poses without them where the pair's curves are wrong.
 
 mod consensus;
 mod evidence;
@@ -40,7 +40,7 @@ use spline::{Basis, Spline};
 pub struct FitSettings {
     /// One-sigma prior of the error of a tilt, degrees.
     pub tilt_sigma_deg: f64,
-    /// One-sigma prior of the turn of a view against that of the pair, degrees.
+    /// One-sigma prior of the turn of a view against that of the pair, beyond what all views share, degrees.
     pub turn_sigma_deg: f64,
     /// One-sigma prior of the direction of the tilt axis, which all views share, degrees.
     pub axis_sigma_deg: f64,

@@ -11,7 +11,9 @@ use super::{FitSettings, FitView, Grown, Problem, StartCurve};
 use crate::series::ViewPose;
 
 /// Views must agree by so much more for the aligned ones to be taken: registered ones are known to lie on lines.
-const CLEARLY: f64 = 1.02;
+const CLEARLY: f64 = 1.01;
+/// And by so much more than they do before they move to where they agree, when they do as well after that: there they are far off.
+const FAR: f64 = 1.05;
 
 /// The fit, and the tomogram at its poses: of the registered views, or of those of `aligned`, moved to where they agree, where they agree
 /// clearly more. Both begin with the views of the pair; `curves` are those of the pair. The last value says whether it is the aligned ones.
@@ -24,13 +26,13 @@ pub(super) fn settled(
     let known = &registered.curves;
     let aligned = depth_of(known).and_then(|depth| {
         let aligned = agreed(aligned, depth, settings);
-        (agreement(&aligned, depth) > CLEARLY * agreement(&registered.views, depth)).then_some(aligned)
+        agree_more(&aligned, &registered.views, depth, settings).then_some(aligned)
     });
     let Some(aligned) = aligned else {
         let volume = Volume::new(&registered.views, known);
         return (registered, volume, false);
     };
-    // The pair's curves at these poses, which the others hold.
+    // The pair's curves at these poses, which the others hold; wrong ones pull, the longer the more.
     let volume = Volume::new(&aligned, known);
     let mut all = curves.to_vec();
     all.extend_from_slice(&volume.curves);
@@ -41,14 +43,30 @@ pub(super) fn settled(
     (grown, volume, true)
 }
 
+/// Whether the views that both have agree clearly more as they are in the first than in the second, on average: more than these do when
+/// they move to where they agree too, which a good registration gains little by, or far more than they do as they are. Registered
+/// views so few that nothing can be said of them are taken for wrong.
+fn agree_more(aligned: &[FitView], registered: &[FitView], depth: [f64; 2], settings: &FitSettings) -> bool {
+    let ours = agreement(aligned, &registered[0], depth);
+    let is_more = |others: &[FitView], times: f64| {
+        let theirs = agreement(others, &registered[0], depth);
+        let both = theirs.iter().filter_map(|(view, theirs)| Some((ours.get(view)?, theirs)));
+        let [our, their] = both.fold([0.0; 2], |sums, (ours, theirs)| [sums[0] + ours, sums[1] + theirs]);
+        our > times * their.max(0.0) || (theirs.is_empty() && !ours.is_empty())
+    };
+    is_more(registered, FAR) || is_more(&agreed(registered.to_vec(), depth, settings), CLEARLY)
+}
+
 /// The views moved to where they agree, in the frame of the pair.
 fn agreed(mut views: Vec<FitView>, depth: [f64; 2], settings: &FitSettings) -> Vec<FitView> {
     let poses = in_consensus(&views, depth, settings);
     let tilts = [0, 1].map(|view: usize| views[view].pose.tilt_rad);
     let seen = [0, 1].map(|view: usize| poses[view].image_from_projection.inverse() * views[view].pose.origin());
     let origin = shown_by_both(tilts, seen);
+    // Lengths are those of the left view.
+    let grown = views[0].pose.scale() / poses[0].scale();
     for (view, pose) in views.iter_mut().zip(poses) {
-        view.pose = ViewPose::new(pose.tilt_rad, pose.axis_rad(), pose.scale(), pose.project(&origin));
+        view.pose = ViewPose::new(pose.tilt_rad, pose.axis_rad(), grown * pose.scale(), pose.project(&origin));
     }
     views
 }
@@ -142,6 +160,7 @@ mod tests {
             let (truth, off) = turned_views(5.0, axis_rad, scale);
             let depth = depth_of(&registered(off.clone(), &curves_as_start(1.0)).curves).unwrap();
             let grown = Grown { views: agreed(off, depth, &FitSettings::default()), ..registered(Vec::new(), &[]) };
+            approx::assert_relative_eq!(grown.views[0].pose.scale(), scale, max_relative = 1e-12);
             let worst = worst_px(&grown, &truth) / scale;
             assert!(worst < 1.0, "{axis_rad} {scale} {worst}");
         }
