@@ -33,7 +33,7 @@ pub(super) fn evidence(lines: &ViewLines) -> Array2<f32> {
 }
 
 /// The contrast of the lines that the detector is sure of, in standard deviations of the view's; 0 where they are as often dark as bright.
-fn contrast_of_lines(lines: &ViewLines) -> f32 {
+pub(super) fn contrast_of_lines(lines: &ViewLines) -> f32 {
     let (mut sum, mut weights) = (0.0_f64, 0.0_f64);
     Zip::from(&*lines.probability).and(&*lines.contrast).for_each(|probability, contrast| {
         let weight = (f64::from(*probability) / 255.0).powi(2);

@@ -1,9 +1,10 @@
 //! From a pair's result to one of all views, and back into the form that a pair's result has: rectified images, disparities and
 //! depths of the pair, now with the poses and curves that all views agree on. So every output and measure stays what it is.
 
+use super::faint::faint;
 use super::grow::{aligned_views, extended};
 use super::settle::settled;
-use super::volume::Volume;
+use super::volume::{Volume, away_from};
 use super::{FitSettings, FittedCurve, Grown, StartCurve, grow};
 use crate::curve::{Flag, MatchedCurve, MatchedPoint, TraceEnd, TraceGraph};
 use crate::geometry::{Point2, Point3, Similarity2, TiltPair, Vector2, project_at_tilt};
@@ -80,13 +81,20 @@ pub fn reconstruct_series(
     let (mut grown, found, is_aligned) = settled(registered, views, &start, fit);
     let confirmed = found.confirmed(&grown.curves);
     let of_pair = kept(&grown, &confirmed, &found);
-    let new = found.away_from(of_pair.iter().map(|index| &grown.curves[*index]));
+    let new = away_from(&found.curves, of_pair.iter().map(|index| &grown.curves[*index]));
     if !new.is_empty() {
         // Where the pair's curves led astray they hold nothing.
         let held = if is_aligned { &[] } else { &start[..] };
         grown = extended(grown, &new, held, fit);
     }
-    let mut reconstruction = in_pair_form(result, &grown, &confirmed, &found, series, detector, settings);
+    let mut kept = kept(&grown, &confirmed, &found);
+    let known: Vec<&FittedCurve> = kept.iter().map(|index| &grown.curves[*index]).collect();
+    let faint = faint(&grown.views, &known, fit);
+    let fitted = grown.curves.len();
+    kept.extend(fitted..fitted + faint.len());
+    grown.curves.extend(faint);
+    let mut reconstruction = in_pair_form(result, &grown, &kept, detector, settings);
+    reconstruction.warnings.extend(warnings(&grown, series, &kept, [start.len(), fitted]));
     if is_aligned {
         let message = format!(
             "the {} views agree better where the alignment of the series and what they show together puts them than where the curves of the pair \
@@ -123,9 +131,7 @@ fn refined(grown: &Grown, series: &Series, aligned: &AlignedSeries, mid: f64) ->
 fn in_pair_form(
     mut result: Reconstruction,
     grown: &Grown,
-    confirmed: &[f64],
-    found: &Volume,
-    series: &Series,
+    kept: &[usize],
     detector: &dyn Detect,
     settings: &Settings,
 ) -> Reconstruction {
@@ -160,7 +166,6 @@ fn in_pair_form(
     result.lines = View::BOTH.map(|view| detector.detect(&result.rectified, view));
     result.traces = [0, 1].map(|view| trace(&result.lines[view], &settings.trace));
 
-    let kept = kept(grown, confirmed, found);
     let depth_gain = tilts.depth_gain().abs();
     let in_left = |point: &Point3| project_at_tilt(point, left.tilt_rad) + grid.shift;
     let in_right = |point: &Point3| project_at_tilt(point, right.tilt_rad) + grid.shift;
@@ -185,8 +190,6 @@ fn in_pair_form(
         MatchedCurve { left_trace, points, closed: curve.closed, ends }
     });
     let matched: Vec<MatchedCurve> = matched.collect();
-    let of_pair = result.matched.len();
-    let added = kept.iter().filter(|index| **index >= of_pair).count();
     result.matched = matched;
     // An error of the tilts scales depths by less the further the views are apart.
     let spread: f64 = grown.views.iter().map(|view| view.pose.tilt_rad.powi(2)).sum::<f64>().sqrt();
@@ -200,8 +203,6 @@ fn in_pair_form(
     // What was measured on the pair alone is measured anew.
     result.warnings.retain(|warning| warning.stage != Stage::Measure);
     result.warnings.extend(doubts);
-    let out = of_pair + added - kept.len();
-    result.warnings.extend(warnings(grown, series, [out, added, of_pair]));
     result
 }
 
@@ -240,7 +241,12 @@ fn usual_support(curves: &[FittedCurve]) -> f64 {
     usual.map_or(1.0, |share| share.0)
 }
 
-fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3]) -> Vec<Warning> {
+/// What is to be said of the views and of the curves that are kept, the first `of_pair` of all being those of the pair and those from
+/// `fitted` on faint ones.
+fn warnings(grown: &Grown, series: &Series, kept: &[usize], [of_pair, fitted]: [usize; 2]) -> Vec<Warning> {
+    let from = |first: usize| kept.iter().filter(|index| **index >= first).count();
+    let (added, faint) = (from(of_pair) - from(fitted), from(fitted));
+    let out = of_pair + added + faint - kept.len();
     let mut warnings = Vec::new();
     if !grown.left_out.is_empty() {
         let mut tilts: Vec<f64> = grown.left_out.iter().map(|view| series.views[*view].tilt_deg).collect();
@@ -257,6 +263,13 @@ fn warnings(grown: &Grown, series: &Series, [out, added, of_pair]: [usize; 3]) -
     if added > 0 {
         let message =
             format!("{added} curves were added that the pair does not show, from what all views show together");
+        warnings.push(Warning::new(Stage::Match, message));
+    }
+    if faint > 0 {
+        let message = format!(
+            "{faint} curves were added that are too faint for the detector in most views (flagged as bridged where no two have a line): all \
+             views together show them, and they could be something else that is faint"
+        );
         warnings.push(Warning::new(Stage::Match, message));
     }
     if out > 0 {

@@ -5,11 +5,12 @@
 //! for curves and poses ([`solve`]), repeat. Priors hold each tilt to 0.1 degree and their mean altogether (a common change only
 //! turns the foil), and the pair's views to the rows that its rectification gave them; the shift and magnification of the first
 //! view, and the shift of the second along the rows, are the frame.
-//! [`grow`] starts from a pair and takes in views by and by; [`volume`] adds the lines that only all views together show, and
-//! [`settle`] finds poses without them where the pair's curves are wrong.
+//! [`grow`] starts from a pair and takes in views by and by; [`volume`] adds the lines that only all views together show,
+//! [`faint`] those of which the detector knows next to nothing, and [`settle`] finds poses without them where the pair's curves are wrong.
 
 mod consensus;
 mod evidence;
+mod faint;
 mod frame;
 mod grid;
 mod grow;
@@ -20,6 +21,7 @@ mod solve;
 mod spline;
 #[cfg(test)]
 mod tests;
+mod tomogram;
 mod volume;
 
 pub use frame::{SeriesFit, reconstruct_series};
@@ -96,6 +98,13 @@ pub struct StartCurve {
     pub sigma_z: Vec<f64>,
     /// Whether the last point joins the first.
     pub closed: bool,
+}
+
+impl StartCurve {
+    /// Length from the first point to the last, px.
+    fn length_px(&self) -> f64 {
+        self.points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
+    }
 }
 
 /// A view in the fit.

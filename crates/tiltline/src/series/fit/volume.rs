@@ -4,19 +4,17 @@
 //! views, small probabilities add up in one place. What looks like a line in single views only does not meet itself there.
 //! Weighted back projection takes out again what the views do not agree on.
 
-use ndarray::{Array2, Array3};
+use ndarray::Array2;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
 use super::grid::Grid;
+use super::tomogram::{MOST_VOXELS, Tomogram};
 use super::{FitView, FittedCurve, StartCurve};
 use crate::geometry::{Point2, Point3};
 use crate::simulate::draw::profile;
-use crate::tomography::curves::{CurveSettings, curves};
 use crate::tomography::{Geometry, Method, WbpSettings, volume};
 
-/// Voxels of the largest tomogram; views are shrunk until theirs is no larger.
-const MOST_VOXELS: f64 = 1.2e8;
 /// Depth is looked at beyond that of the known curves, by this share on both sides.
 const BEYOND: f64 = 0.15;
 /// Standard deviation of a line in a map of probabilities, px.
@@ -34,10 +32,6 @@ const FEW: f64 = 50.0;
 const LEAST_SHARE: f64 = 0.075;
 /// Where less than this share of it is enough, a line that is seen in the views is in the tomogram.
 const DECISIVE_SHARE: f64 = 0.15;
-/// Rows of the tomogram of chance.
-const CHANCE_ROWS: usize = 128;
-/// One sigma of a curve's depth in the tomogram, voxels.
-const SIGMA_Z: f64 = 1.5;
 /// A curve and the tomogram agree within this, px.
 const NEAR_PX: f64 = 4.0;
 /// Shortest stretch that is new, px.
@@ -62,30 +56,15 @@ impl Volume {
     fn between(views: &[FitView], depth: [f64; 2], most_voxels: f64) -> Self {
         let none = Self { curves: Vec::new(), is_decisive: false };
         let views: Vec<&FitView> = views.iter().filter(|view| !view.lines.lines().probability.is_empty()).collect();
-        let Some(first) = views.first() else { return none };
-        let grid = Grid::new(first, depth, most_voxels);
-        let images: Vec<Array2<f32>> = views.iter().map(|view| grid.image(view)).collect();
+        let Some(tomogram) = Tomogram::new(&views, depth, most_voxels, Grid::image) else { return none };
         let tilts_rad: Vec<f64> = views.iter().map(|view| view.pose.tilt_rad).collect();
-        let (sigma_px, height) = grid.blurred(LINE_SIGMA_PX);
-        let sure = value_of_a_line(&tilts_rad, sigma_px / grid.px).map(|value| value * height);
-        let geometry = grid.geometry(tilts_rad);
-        // None of these exists where there are not two different tilts.
-        let chance = tomogram_of_chance(&images, &geometry);
-        let tomogram = volume(&images, &geometry, &Method::Wbp(WbpSettings::default())).ok();
-        drop(images);
-        let (Some(tomogram), Some(sure), Some(chance)) = (tomogram, sure, chance) else { return none };
+        let (sigma_px, height) = tomogram.grid.blurred(LINE_SIGMA_PX);
+        let sure = value_of_a_line(&tilts_rad, sigma_px / tomogram.grid.px).map(|value| value * height);
+        let Some(sure) = sure else { return none };
         let few = FEW / (views.len() as f64).powi(3);
-        let least = (ABOVE_CHANCE * rms(&chance)).max(few.max(LEAST_SHARE) * sure);
-        let Some(threshold) = beyond_chance(&tomogram, &chance, least) else { return none };
-        let share = threshold / sure;
-        let threshold = threshold as f32;
-        let found = curves(&tomogram, &geometry, threshold, &CurveSettings::default());
-        let start = |curve: crate::tomography::curves::VolumeCurve| StartCurve {
-            sigma_z: vec![SIGMA_Z * grid.px; curve.points.len()],
-            points: curve.points.into_iter().map(|point| grid.in_frame(point)).collect(),
-            closed: curve.closed,
-        };
-        Self { curves: found.into_iter().map(start).collect(), is_decisive: share <= DECISIVE_SHARE }
+        let least = (ABOVE_CHANCE * tomogram.rms_of_chance()).max(few.max(LEAST_SHARE) * sure);
+        let Some(threshold) = tomogram.beyond_chance(least, MOST_BY_CHANCE) else { return none };
+        Self { curves: tomogram.curves(threshold), is_decisive: threshold / sure <= DECISIVE_SHARE }
     }
 
     /// For each curve the share of its points that lie on one of the tomogram.
@@ -97,30 +76,33 @@ impl Volume {
         };
         curves.iter().map(share).collect()
     }
+}
 
-    /// The stretches of its curves that are away from all the given ones.
-    pub fn away_from<'a>(&self, known: impl Iterator<Item = &'a FittedCurve>) -> Vec<StartCurve> {
-        let tree = tree(known.map(|curve| &curve.points[..]));
-        let mut away = Vec::new();
-        for curve in &self.curves {
-            for stretch in curve.points.split(|point| is_near(&tree, point)) {
-                let length: f64 = stretch.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-                if stretch.len() >= 2 && length >= SHORTEST_PX {
-                    away.push(StartCurve {
-                        points: stretch.into(),
-                        sigma_z: vec![curve.sigma_z[0]; stretch.len()],
-                        closed: curve.closed && stretch.len() == curve.points.len(),
-                    });
-                }
+/// The stretches of curves that are away from all the known ones.
+pub(super) fn away_from<'a>(curves: &[StartCurve], known: impl Iterator<Item = &'a FittedCurve>) -> Vec<StartCurve> {
+    let tree = tree(known.map(|curve| &curve.points[..]));
+    let mut away = Vec::new();
+    for curve in curves {
+        for stretch in curve.points.split(|point| is_near(&tree, point)) {
+            if stretch.len() < 2 {
+                continue;
+            }
+            let stretch = StartCurve {
+                points: stretch.into(),
+                sigma_z: vec![curve.sigma_z[0]; stretch.len()],
+                closed: curve.closed && stretch.len() == curve.points.len(),
+            };
+            if stretch.length_px() >= SHORTEST_PX {
+                away.push(stretch);
             }
         }
-        away
     }
+    away
 }
 
 /// Where to look for lines, px: about as deep as the known curves.
-pub(super) fn depth_of(known: &[FittedCurve]) -> Option<[f64; 2]> {
-    let mut z: Vec<f64> = known.iter().flat_map(|curve| &curve.points).map(|point| point.z).collect();
+pub(super) fn depth_of<'a>(known: impl IntoIterator<Item = &'a FittedCurve>) -> Option<[f64; 2]> {
+    let mut z: Vec<f64> = known.into_iter().flat_map(|curve| &curve.points).map(|point| point.z).collect();
     z.sort_by(f64::total_cmp);
     let last = z.len().checked_sub(1)?;
     let [low, high] = [0.01, 0.99].map(|share| z[(last as f64 * share) as usize]);
@@ -137,48 +119,6 @@ fn tree<'a>(curves: impl Iterator<Item = &'a [Point3]>) -> Tree {
 
 fn is_near(tree: &Tree, point: &Point3) -> bool {
     tree.locate_within_distance([point.x, point.y, point.z], NEAR_PX * NEAR_PX).next().is_some()
-}
-
-/// A tomogram in which lines meet by chance only: of each view rows from elsewhere, moved along them too.
-fn tomogram_of_chance(images: &[Array2<f32>], geometry: &Geometry) -> Option<Array3<f32>> {
-    // Multiples of these, without their whole part, are spread evenly and far from each other (a generalised golden ratio).
-    const STEPS: [f64; 2] = [0.754_877_666_246_69, 0.569_840_290_998_05];
-    let elsewhere = |(index, image): (usize, &Array2<f32>)| {
-        let (height, width) = image.dim();
-        let [down, right] = [(STEPS[0], height), (STEPS[1], width)]
-            .map(|(step, length)| ((index as f64 * step).fract() * length as f64) as usize);
-        let at = |(row, column): (usize, usize)| image[[(row + down) % height, (column + right) % width]];
-        Array2::from_shape_fn([CHANCE_ROWS.min(height), width], at)
-    };
-    let images: Vec<Array2<f32>> = images.iter().enumerate().map(elsewhere).collect();
-    volume(&images, geometry, &Method::Wbp(WbpSettings::default())).ok()
-}
-
-fn rms(tomogram: &Array3<f32>) -> f64 {
-    let squares: f64 = tomogram.iter().map(|value| f64::from(*value).powi(2)).sum();
-    (squares / tomogram.len() as f64).sqrt()
-}
-
-/// The lowest value from `least` on beyond which no more than [`MOST_BY_CHANCE`] of the voxels are there by chance; `None` where
-/// there is no such value.
-fn beyond_chance(tomogram: &Array3<f32>, chance: &Array3<f32>, least: f64) -> Option<f64> {
-    // Values in steps of this, as far as the largest value of a tomogram can be of interest.
-    const STEP: f64 = 1.1;
-    const STEPS: usize = 60;
-    let shares = |tomogram: &Array3<f32>| {
-        let mut counts = [0_usize; STEPS];
-        for value in tomogram.iter().filter(|value| f64::from(**value) >= least) {
-            let step = (f64::from(*value) / least).ln() / STEP.ln();
-            counts[(step as usize).min(STEPS - 1)] += 1;
-        }
-        for step in (1..STEPS).rev() {
-            counts[step - 1] += counts[step];
-        }
-        counts.map(|count| count as f64 / tomogram.len() as f64)
-    };
-    let (real, by_chance) = (shares(tomogram), shares(chance));
-    let step = (0..STEPS).find(|&step| real[step] > 0.0 && by_chance[step] <= MOST_BY_CHANCE * real[step])?;
-    Some(least * STEP.powi(step as i32))
 }
 
 /// The value in the tomogram of a line along the tilt axis that all views are sure of.
@@ -286,20 +226,6 @@ mod tests {
         assert!(10 * length(&without) < length(&with), "{} {}", length(&without), length(&with));
     }
 
-    /// The threshold is the least one where chance has next to nothing above it, and higher where it has; there is none where chance
-    /// has as much everywhere.
-    #[test]
-    fn the_threshold_is_where_little_is_there_by_chance() {
-        let of =
-            |values: &[f32]| Array3::from_shape_fn([1, 1, 1000], |(_, _, at)| values.get(at).copied().unwrap_or(0.0));
-        let real = of(&[[2.0; 20], [5.0; 20]].concat());
-        assert_eq!(beyond_chance(&real, &of(&[]), 1.0), Some(1.0));
-        let higher = beyond_chance(&real, &of(&[2.0; 20]), 1.0).unwrap();
-        assert!((2.0..=5.0).contains(&higher), "{higher}");
-        assert_eq!(beyond_chance(&real, &real, 1.0), None);
-        assert_eq!(beyond_chance(&of(&[]), &of(&[]), 1.0), None);
-    }
-
     /// Lines of two of four views meet somewhere, whatever they are.
     #[test]
     fn with_few_views_most_must_be_sure() {
@@ -329,11 +255,11 @@ mod tests {
         };
         let volume = Volume { curves: vec![start(0.0)], is_decisive: true };
         assert_eq!(volume.confirmed(&[fitted(1.0), fitted(9.0)]), [1.0, 0.0]);
-        assert!(volume.away_from([fitted(1.0)].iter()).is_empty());
-        assert_eq!(volume.away_from([fitted(9.0)].iter()), [start(0.0)]);
+        assert!(away_from(&volume.curves, [fitted(1.0)].iter()).is_empty());
+        assert_eq!(away_from(&volume.curves, [fitted(9.0)].iter()), [start(0.0)]);
         let mut half = fitted(1.0);
         half.points.truncate(60);
-        let rest = volume.away_from([half].iter());
+        let rest = away_from(&volume.curves, [half].iter());
         assert!(rest.len() == 1 && (30..45).contains(&rest[0].points.len()), "{}", rest[0].points.len());
     }
 }

@@ -1,0 +1,210 @@
+//! Lines that all views show a little, and of which the detector makes a line in hardly any: the curves of a tomogram of the evidence of
+//! the views, as far as the views agree that they are fainter than lines that the detector is sure of.
+//!
+//! What is as dark as these and yet no line to the detector is something else (a boundary, a slip trace); what is fainter it may
+//! have missed. Curves stay where the tomogram has them: what lines single views have near a faint one is mostly noise, to which a fit
+//! would draw it.
+
+use super::evidence::contrast_of_lines;
+use super::grid::Grid;
+use super::tomogram::{MOST_VOXELS, Tomogram};
+use super::volume::{away_from, depth_of};
+use super::{FitSettings, FitView, FittedCurve, StartCurve, observe, sampled};
+use crate::series::ViewLines;
+
+/// Views that are needed to say anything.
+const LEAST_VIEWS: usize = 8;
+/// A voxel belongs to a line from so many times the root mean square of a tomogram of chance on.
+const ABOVE_CHANCE: f64 = 5.0;
+/// No more than this share of them is there by chance.
+const MOST_BY_CHANCE: f64 = 0.05;
+/// Shortest curve, px: what is by chance, or left over beside known curves, is short.
+const SHORTEST_PX: f64 = 30.0;
+/// The contrast of a curve against that of the lines that the detector is sure of: the mean over views is less than the first, their
+/// median more than the second.
+const MOST_OF_SURE: f64 = 0.8;
+const LEAST_OF_SURE: f64 = 0.25;
+/// It is dark where those are dark, and bright where they are bright, in this share of the views at least.
+const LEAST_SHARE: f64 = 0.8;
+/// Where the lines that the detector is sure of have less contrast, standard deviations of the views', nothing can be held against it.
+const LEAST_CONTRAST: f64 = 0.2;
+
+/// The faint curves of the views that are away from the known ones, about as deep as these; none with few views.
+pub(super) fn faint(views: &[FitView], known: &[&FittedCurve], settings: &FitSettings) -> Vec<FittedCurve> {
+    let shown: Vec<&FitView> = views.iter().filter(|view| is_shown(view.lines.lines())).collect();
+    let Some(depth) = depth_of(known.iter().copied()) else { return Vec::new() };
+    if shown.len() < LEAST_VIEWS {
+        return Vec::new();
+    }
+    let Some(tomogram) = Tomogram::new(&shown, depth, MOST_VOXELS, Grid::evidence) else { return Vec::new() };
+    let least = ABOVE_CHANCE * tomogram.rms_of_chance();
+    let Some(threshold) = tomogram.beyond_chance(least, MOST_BY_CHANCE) else { return Vec::new() };
+    let found = tomogram.curves(threshold);
+    drop(tomogram);
+    let sure = Contrast::of_sure_lines(&shown);
+    let mut curves = away_from(&found, known.iter().copied());
+    curves.retain(|curve| curve.length_px() >= SHORTEST_PX && sure.is_fainter_line(curve, &shown));
+    let splines: Vec<_> = curves.iter().map(|curve| sampled(curve, settings.roughness)).collect();
+    let seen = observe::seen(&splines, views, settings.reach_px);
+    let fitted = |(curve, (seen, support)): (StartCurve, (Vec<usize>, f64))| FittedCurve {
+        points: curve.points,
+        sigma_z: curve.sigma_z,
+        seen,
+        closed: curve.closed,
+        support,
+    };
+    curves.into_iter().zip(seen).map(fitted).collect()
+}
+
+/// Whether both maps of a view are known.
+fn is_shown(lines: &ViewLines) -> bool {
+    !lines.probability.is_empty() && lines.probability.dim() == lines.contrast.dim()
+}
+
+/// The contrast of the lines that the detector is sure of, in standard deviations of the views': negative where they are bright.
+struct Contrast(f64);
+
+impl Contrast {
+    fn of_sure_lines(views: &[&FitView]) -> Self {
+        let sum: f64 = views.iter().map(|view| f64::from(contrast_of_lines(view.lines.lines()))).sum();
+        Self(sum / views.len().max(1) as f64)
+    }
+
+    /// Whether the views agree that a curve looks like those lines, but fainter.
+    fn is_fainter_line(&self, curve: &StartCurve, views: &[&FitView]) -> bool {
+        if self.0.abs() < LEAST_CONTRAST {
+            return false;
+        }
+        let mut each: Vec<f64> = views.iter().filter_map(|view| Some(contrast_along(curve, view)? / self.0)).collect();
+        if 2 * each.len() < views.len() {
+            return false;
+        }
+        each.sort_by(f64::total_cmp);
+        let count = each.len() as f64;
+        let mean = each.iter().sum::<f64>() / count;
+        let alike = each.iter().filter(|contrast| **contrast > 0.0).count() as f64 / count;
+        mean < MOST_OF_SURE && each[each.len() / 2] > LEAST_OF_SURE && alike >= LEAST_SHARE
+    }
+}
+
+/// The mean contrast of a view along a curve; `None` where it shows less than half of it.
+fn contrast_along(curve: &StartCurve, view: &FitView) -> Option<f64> {
+    let contrast = &view.lines.lines().contrast;
+    let at = |point: &crate::geometry::Point3| {
+        let seen = view.pose.project(point);
+        let is_inside = seen.x >= -0.5 && seen.y >= -0.5;
+        contrast.get([seen.y.round() as usize, seen.x.round() as usize]).filter(|_| is_inside).copied()
+    };
+    let inside: Vec<i8> = curve.points.iter().filter_map(at).collect();
+    let sum: f64 = inside.iter().map(|contrast| f64::from(*contrast)).sum();
+    let mean = f64::from(ViewLines::CONTRAST_STEP) * sum / inside.len().max(1) as f64;
+    (2 * inside.len() >= curve.points.len()).then_some(mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use ndarray::Array2;
+
+    use super::*;
+    use crate::curve::TraceGraph;
+    use crate::geometry::{Point2, Point3};
+    use crate::series::{LineIndex, ViewPose};
+    use crate::simulate::draw::union_of_profiles;
+
+    const SHAPE: [usize; 2] = [200, 260];
+
+    /// Three lines along the tilt axis, of different depths.
+    fn line(x: f64, z: f64) -> Vec<Point3> {
+        (-40..=40).map(|step| Point3::new(x + 0.1 * f64::from(step), f64::from(step), z)).collect()
+    }
+
+    const SURE: (f64, f64) = (-45.0, 5.0);
+    const OTHER: (f64, f64) = (0.0, -10.0);
+    const FAINT: (f64, f64) = (45.0, 12.0);
+
+    /// So many views of a line that the detector is sure of, with contrast 2; of something with the contrast `other` and a line with the
+    /// contrast `faint` in each view, of both of which the detector sees nothing.
+    fn views(count: usize, other: f64, faint: impl Fn(usize) -> f64) -> Vec<FitView> {
+        let view = |index: usize| {
+            let tilt_deg = -48.0 + 96.0 * index as f64 / (count - 1) as f64;
+            let pose = ViewPose::new(tilt_deg.to_radians(), 0.0, 1.0, Point2::new(129.5, 99.5));
+            let drawn = |(x, z): (f64, f64)| {
+                let seen: Vec<Point2> = line(x, z).iter().map(|point| pose.project(point)).collect();
+                union_of_profiles(SHAPE, &[seen], 1.5)
+            };
+            let (sure, unlike, weak) = (drawn(SURE), drawn(OTHER), drawn(FAINT));
+            let noise = |[row, column]: [usize; 2]| {
+                let phase = (31 * row + 17 * column + 101 * index) as f64;
+                0.1 * (phase * phase).sin()
+            };
+            let contrast = Array2::from_shape_fn(SHAPE, |(row, column)| {
+                let at = [row, column];
+                let value = 2.0 * f64::from(sure[at])
+                    + other * f64::from(unlike[at])
+                    + faint(index) * f64::from(weak[at])
+                    + noise(at);
+                (value / f64::from(ViewLines::CONTRAST_STEP)).clamp(-127.0, 127.0) as i8
+            });
+            let lines = ViewLines {
+                probability: Arc::new(sure.mapv(|value| (150.0 * value) as u8)),
+                contrast: Arc::new(contrast),
+                ..ViewLines::new(TraceGraph::default(), SHAPE)
+            };
+            FitView::new(index, pose, LineIndex::new(lines))
+        };
+        (0..count).map(view).collect()
+    }
+
+    /// What is found beside the line that is known, and for each curve whether it is the faint line.
+    fn found(views: &[FitView]) -> Vec<(FittedCurve, bool)> {
+        let known = FittedCurve {
+            points: [line(SURE.0, SURE.1), line(SURE.0, -20.0), line(SURE.0, 25.0)].concat(),
+            sigma_z: vec![1.0; 243],
+            seen: vec![9; 243],
+            closed: false,
+            support: 1.0,
+        };
+        let is_right = |curve: FittedCurve| {
+            let right = curve.points.iter().filter(|point| {
+                let near = line(FAINT.0, FAINT.1).iter().map(|other| (other - *point).norm()).fold(9.0, f64::min);
+                near < 2.0
+            });
+            let share = right.count() as f64 / curve.points.len() as f64;
+            (curve, share > 0.9)
+        };
+        faint(views, &[&known], &FitSettings::default()).into_iter().map(is_right).collect()
+    }
+
+    /// A line with two thirds of the contrast of those that are found is one; what has as much as these would have been found if it were
+    /// one. Its place is that of the tomogram, whatever lines single views have, and these are none.
+    #[test]
+    fn a_fainter_line_is_one_and_what_is_as_dark_as_lines_is_something_else() {
+        let curves = found(&views(17, 2.0, |_| 1.1));
+        assert!(curves.len() == 1 && curves[0].1, "{curves:?}");
+        let curve = &curves[0].0;
+        assert!(curve.points.len() > 70 && curve.seen.iter().all(|seen| *seen == 0) && curve.support < 1e-9);
+        assert!(found(&views(17, 2.0, |_| 2.0)).is_empty());
+        assert!(found(&views(17, 0.0, |_| -1.1)).is_empty());
+    }
+
+    /// A few views that show something, however strongly, are not all views.
+    #[test]
+    fn what_a_few_views_show_is_no_line() {
+        let in_some = |index: usize| if index % 3 == 0 { 2.0 } else { 0.0 };
+        assert!(found(&views(17, 0.0, in_some)).is_empty());
+    }
+
+    #[test]
+    fn few_views_and_unknown_maps_say_nothing() {
+        assert!(found(&views(LEAST_VIEWS - 1, 0.0, |_| 1.1)).is_empty());
+        assert!(!found(&views(13, 0.0, |_| 1.1)).is_empty());
+        let blind = |view: FitView| {
+            let lines = ViewLines { contrast: Arc::default(), ..view.lines.lines().clone() };
+            FitView { lines: LineIndex::new(lines), ..view }
+        };
+        assert!(found(&views(17, 0.0, |_| 1.1).into_iter().map(blind).collect::<Vec<_>>()).is_empty());
+        assert!(faint(&views(17, 0.0, |_| 1.1), &[], &FitSettings::default()).is_empty());
+    }
+}
