@@ -17,12 +17,14 @@ const LEAST_VIEWS: usize = 8;
 /// A voxel belongs to a line from so many times the root mean square of a tomogram of chance on.
 const ABOVE_CHANCE: f64 = 5.0;
 /// No more than this share of them is there by chance.
-const MOST_BY_CHANCE: f64 = 0.05;
+const MOST_BY_CHANCE: f64 = 0.1;
 /// Shortest curve, px: what is by chance, or left over beside known curves, is short.
-const SHORTEST_PX: f64 = 30.0;
+const SHORTEST_PX: f64 = 20.0;
+/// Contrast must be noise by this share at least: where things stand out of it, the detector has seen them, and has taken them for lines or not.
+const LEAST_NOISE: f64 = 0.85;
 /// The contrast of a curve against that of the lines that the detector is sure of: the mean over views is less than the first, their
 /// median more than the second.
-const MOST_OF_SURE: f64 = 0.8;
+const MOST_OF_SURE: f64 = 1.0;
 const LEAST_OF_SURE: f64 = 0.25;
 /// It is dark where those are dark, and bright where they are bright, in this share of the views at least.
 const LEAST_SHARE: f64 = 0.8;
@@ -33,7 +35,7 @@ const LEAST_CONTRAST: f64 = 0.2;
 pub(super) fn faint(views: &[FitView], known: &[&FittedCurve], settings: &FitSettings) -> Vec<FittedCurve> {
     let shown: Vec<&FitView> = views.iter().filter(|view| is_shown(view.lines.lines())).collect();
     let Some(depth) = depth_of(known.iter().copied()) else { return Vec::new() };
-    if shown.len() < LEAST_VIEWS {
+    if shown.len() < LEAST_VIEWS || share_of_noise(&shown) < LEAST_NOISE {
         return Vec::new();
     }
     let Some(tomogram) = Tomogram::new(&shown, depth, MOST_VOXELS, Grid::evidence) else { return Vec::new() };
@@ -54,6 +56,19 @@ pub(super) fn faint(views: &[FitView], known: &[&FittedCurve], settings: &FitSet
         support,
     };
     curves.into_iter().zip(seen).map(fitted).collect()
+}
+
+/// How far contrast is noise: its standard deviation as the median tells it, which lines and other things that stand out hardly change,
+/// in those about each place; 1 where it is normal noise only, on average over views.
+fn share_of_noise(views: &[&FitView]) -> f64 {
+    // Of a normal distribution.
+    const SIGMA_OF_MEDIAN: f64 = 1.4826;
+    let share = |view: &&FitView| {
+        let mut sizes: Vec<u8> = view.lines.lines().contrast.iter().map(|contrast| contrast.unsigned_abs()).collect();
+        let middle = sizes.len() / 2;
+        SIGMA_OF_MEDIAN * f64::from(ViewLines::CONTRAST_STEP) * f64::from(*sizes.select_nth_unstable(middle).1)
+    };
+    views.iter().map(share).sum::<f64>() / views.len() as f64
 }
 
 /// Whether both maps of a view are known.
@@ -106,14 +121,17 @@ mod tests {
     use std::sync::Arc;
 
     use ndarray::Array2;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
 
     use super::*;
     use crate::curve::TraceGraph;
+    use crate::filter::gaussian_blur;
     use crate::geometry::{Point2, Point3};
     use crate::series::{LineIndex, ViewPose};
     use crate::simulate::draw::union_of_profiles;
 
-    const SHAPE: [usize; 2] = [200, 260];
+    const SHAPE: [usize; 2] = [300, 360];
 
     /// Three lines along the tilt axis, of different depths.
     fn line(x: f64, z: f64) -> Vec<Point3> {
@@ -125,30 +143,33 @@ mod tests {
     const FAINT: (f64, f64) = (45.0, 12.0);
 
     /// So many views of a line that the detector is sure of, with contrast 2; of something with the contrast `other` and a line with the
-    /// contrast `faint` in each view, of both of which the detector sees nothing.
+    /// contrast `faint` in each view, of both of which the detector sees nothing; and normal noise of 0.9 standard deviations,
+    /// smoothed as contrast is.
     fn views(count: usize, other: f64, faint: impl Fn(usize) -> f64) -> Vec<FitView> {
+        noisy_views(count, 0.9, other, faint)
+    }
+
+    fn noisy_views(count: usize, noise: f64, other: f64, faint: impl Fn(usize) -> f64) -> Vec<FitView> {
+        let mut rng = Pcg64::seed_from_u64(2);
+        // Nearly normal: the sum of twelve.
+        let mut normal = || (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>();
         let view = |index: usize| {
             let tilt_deg = -48.0 + 96.0 * index as f64 / (count - 1) as f64;
-            let pose = ViewPose::new(tilt_deg.to_radians(), 0.0, 1.0, Point2::new(129.5, 99.5));
+            let pose = ViewPose::new(tilt_deg.to_radians(), 0.0, 1.0, Point2::new(179.5, 149.5));
             let drawn = |(x, z): (f64, f64)| {
                 let seen: Vec<Point2> = line(x, z).iter().map(|point| pose.project(point)).collect();
                 union_of_profiles(SHAPE, &[seen], 1.5)
             };
             let (sure, unlike, weak) = (drawn(SURE), drawn(OTHER), drawn(FAINT));
-            let noise = |[row, column]: [usize; 2]| {
-                let phase = (31 * row + 17 * column + 101 * index) as f64;
-                0.1 * (phase * phase).sin()
-            };
-            let contrast = Array2::from_shape_fn(SHAPE, |(row, column)| {
-                let at = [row, column];
-                let value = 2.0 * f64::from(sure[at])
-                    + other * f64::from(unlike[at])
-                    + faint(index) * f64::from(weak[at])
-                    + noise(at);
-                (value / f64::from(ViewLines::CONTRAST_STEP)).clamp(-127.0, 127.0) as i8
+            // Smoothing by one px leaves 1 / (2 sqrt(pi)) of the standard deviation.
+            let white = Array2::from_shape_fn(SHAPE, |_| (noise * 2.0 * std::f64::consts::PI.sqrt() * normal()) as f32);
+            let smooth = gaussian_blur(&white, 1.0);
+            let contrast = Array2::from_shape_fn(SHAPE, |at| {
+                let lines = 2.0 * sure[at] + other as f32 * unlike[at] + faint(index) as f32 * weak[at];
+                ((lines + smooth[at]) / ViewLines::CONTRAST_STEP).clamp(-127.0, 127.0) as i8
             });
             let lines = ViewLines {
-                probability: Arc::new(sure.mapv(|value| (150.0 * value) as u8)),
+                probability: Arc::new(sure.mapv(|value| (60.0 * value) as u8)),
                 contrast: Arc::new(contrast),
                 ..ViewLines::new(TraceGraph::default(), SHAPE)
             };
@@ -177,34 +198,41 @@ mod tests {
         faint(views, &[&known], &FitSettings::default()).into_iter().map(is_right).collect()
     }
 
-    /// A line with two thirds of the contrast of those that are found is one; what has as much as these would have been found if it were
+    /// A line that is fainter than those that are found is one; what has as much as these would have been found if it were
     /// one. Its place is that of the tomogram, whatever lines single views have, and these are none.
     #[test]
     fn a_fainter_line_is_one_and_what_is_as_dark_as_lines_is_something_else() {
-        let curves = found(&views(17, 2.0, |_| 1.1));
-        assert!(curves.len() == 1 && curves[0].1, "{curves:?}");
-        let curve = &curves[0].0;
-        assert!(curve.points.len() > 70 && curve.seen.iter().all(|seen| *seen == 0) && curve.support < 1e-9);
-        assert!(found(&views(17, 2.0, |_| 2.0)).is_empty());
-        assert!(found(&views(17, 0.0, |_| -1.1)).is_empty());
+        let curves = found(&views(41, 2.0, |_| 1.5));
+        let length: usize = curves.iter().map(|(curve, _)| curve.points.len()).sum();
+        assert!(length > 60 && curves.iter().all(|(_, is_right)| *is_right), "{length} {curves:?}");
+        assert!(curves.iter().all(|(curve, _)| curve.seen.iter().all(|seen| *seen == 0) && curve.support < 1e-9));
+        assert!(found(&views(41, 2.0, |_| 2.0)).is_empty());
+        assert!(found(&views(41, 0.0, |_| -1.5)).is_empty());
+    }
+
+    /// Without noise the detector has seen whatever is there.
+    #[test]
+    fn where_things_stand_out_of_the_noise_there_are_no_faint_lines() {
+        assert!(found(&noisy_views(41, 0.3, 0.0, |_| 1.5)).is_empty());
+        assert!((share_of_noise(&noisy_views(8, 0.5, 0.0, |_| 0.0).iter().collect::<Vec<_>>()) - 0.5).abs() < 0.05);
     }
 
     /// A few views that show something, however strongly, are not all views.
     #[test]
     fn what_a_few_views_show_is_no_line() {
-        let in_some = |index: usize| if index % 3 == 0 { 2.0 } else { 0.0 };
-        assert!(found(&views(17, 0.0, in_some)).is_empty());
+        let in_some = |index: usize| if index.is_multiple_of(3) { 2.0 } else { 0.0 };
+        assert!(found(&views(41, 0.0, in_some)).is_empty());
     }
 
     #[test]
     fn few_views_and_unknown_maps_say_nothing() {
-        assert!(found(&views(LEAST_VIEWS - 1, 0.0, |_| 1.1)).is_empty());
-        assert!(!found(&views(13, 0.0, |_| 1.1)).is_empty());
+        assert!(found(&views(LEAST_VIEWS - 1, 0.0, |_| 1.5)).is_empty());
+        assert!(!found(&views(33, 0.0, |_| 1.5)).is_empty());
         let blind = |view: FitView| {
             let lines = ViewLines { contrast: Arc::default(), ..view.lines.lines().clone() };
             FitView { lines: LineIndex::new(lines), ..view }
         };
-        assert!(found(&views(17, 0.0, |_| 1.1).into_iter().map(blind).collect::<Vec<_>>()).is_empty());
-        assert!(faint(&views(17, 0.0, |_| 1.1), &[], &FitSettings::default()).is_empty());
+        assert!(found(&views(41, 0.0, |_| 1.5).into_iter().map(blind).collect::<Vec<_>>()).is_empty());
+        assert!(faint(&views(41, 0.0, |_| 1.5), &[], &FitSettings::default()).is_empty());
     }
 }
