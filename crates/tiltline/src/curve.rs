@@ -78,7 +78,7 @@ pub enum Flag {
     Ok,
     /// Measured, but the line runs within 10 degrees of the row: its disparity is poorly determined.
     IllConditioned,
-    /// Not measured here: interpolated from the neighbours on its curve.
+    /// Not measured here: interpolated from the neighbours on its curve, or of a line that only all views of a series show together.
     Bridged,
 }
 

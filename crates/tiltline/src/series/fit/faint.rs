@@ -9,7 +9,8 @@ use super::evidence::contrast_of_lines;
 use super::grid::Grid;
 use super::tomogram::{MOST_VOXELS, Tomogram};
 use super::volume::{away_from, depth_of};
-use super::{FitSettings, FitView, FittedCurve, StartCurve, observe, sampled};
+use super::{FitView, FittedCurve, StartCurve};
+use crate::geometry::Point3;
 use crate::series::ViewLines;
 
 /// Views that are needed to say anything.
@@ -26,36 +27,35 @@ const LEAST_NOISE: f64 = 0.85;
 /// median more than the second.
 const MOST_OF_SURE: f64 = 1.0;
 const LEAST_OF_SURE: f64 = 0.25;
-/// It is dark where those are dark, and bright where they are bright, in this share of the views at least.
+/// It is dark where those are dark on average, or bright where they are bright, in this share of the views at least.
 const LEAST_SHARE: f64 = 0.8;
 /// Where the lines that the detector is sure of have less contrast, standard deviations of the views', nothing can be held against it.
 const LEAST_CONTRAST: f64 = 0.2;
 
-/// The faint curves of the views that are away from the known ones, about as deep as these; none with few views.
-pub(super) fn faint(views: &[FitView], known: &[&FittedCurve], settings: &FitSettings) -> Vec<FittedCurve> {
+/// The faint curves of the views that are away from the known ones, about as deep as these; none with few views. No lines of single views
+/// are counted for them, and their sigma is that of the tomogram's voxels.
+pub(super) fn faint(views: &[FitView], known: &[&FittedCurve]) -> Vec<FittedCurve> {
     let shown: Vec<&FitView> = views.iter().filter(|view| is_shown(view.lines.lines())).collect();
     let Some(depth) = depth_of(known.iter().copied()) else { return Vec::new() };
     if shown.len() < LEAST_VIEWS || share_of_noise(&shown) < LEAST_NOISE {
         return Vec::new();
     }
+    let Some(sure) = Contrast::of_sure_lines(&shown) else { return Vec::new() };
     let Some(tomogram) = Tomogram::new(&shown, depth, MOST_VOXELS, Grid::evidence) else { return Vec::new() };
     let least = ABOVE_CHANCE * tomogram.rms_of_chance();
     let Some(threshold) = tomogram.beyond_chance(least, MOST_BY_CHANCE) else { return Vec::new() };
     let found = tomogram.curves(threshold);
     drop(tomogram);
-    let sure = Contrast::of_sure_lines(&shown);
     let mut curves = away_from(&found, known.iter().copied());
     curves.retain(|curve| curve.length_px() >= SHORTEST_PX && sure.is_fainter_line(curve, &shown));
-    let splines: Vec<_> = curves.iter().map(|curve| sampled(curve, settings.roughness)).collect();
-    let seen = observe::seen(&splines, views, settings.reach_px);
-    let fitted = |(curve, (seen, support)): (StartCurve, (Vec<usize>, f64))| FittedCurve {
+    let fitted = |curve: StartCurve| FittedCurve {
+        seen: vec![0; curve.points.len()],
         points: curve.points,
         sigma_z: curve.sigma_z,
-        seen,
         closed: curve.closed,
-        support,
+        support: 0.0,
     };
-    curves.into_iter().zip(seen).map(fitted).collect()
+    curves.into_iter().map(fitted).collect()
 }
 
 /// How far contrast is noise: its standard deviation as the median tells it, which lines and other things that stand out hardly change,
@@ -64,7 +64,12 @@ fn share_of_noise(views: &[&FitView]) -> f64 {
     // Of a normal distribution.
     const SIGMA_OF_MEDIAN: f64 = 1.4826;
     let share = |view: &&FitView| {
-        let mut sizes: Vec<u8> = view.lines.lines().contrast.iter().map(|contrast| contrast.unsigned_abs()).collect();
+        // Where there is no data there is no contrast.
+        let known = view.lines.lines().contrast.iter().filter(|contrast| **contrast != 0);
+        let mut sizes: Vec<u8> = known.map(|contrast| contrast.unsigned_abs()).collect();
+        if sizes.is_empty() {
+            return 0.0;
+        }
         let middle = sizes.len() / 2;
         SIGMA_OF_MEDIAN * f64::from(ViewLines::CONTRAST_STEP) * f64::from(*sizes.select_nth_unstable(middle).1)
     };
@@ -80,16 +85,15 @@ fn is_shown(lines: &ViewLines) -> bool {
 struct Contrast(f64);
 
 impl Contrast {
-    fn of_sure_lines(views: &[&FitView]) -> Self {
+    /// On average over views; `None` where it is too small to hold anything against it.
+    fn of_sure_lines(views: &[&FitView]) -> Option<Self> {
         let sum: f64 = views.iter().map(|view| f64::from(contrast_of_lines(view.lines.lines()))).sum();
-        Self(sum / views.len().max(1) as f64)
+        let mean = sum / views.len().max(1) as f64;
+        (mean.abs() >= LEAST_CONTRAST).then_some(Self(mean))
     }
 
     /// Whether the views agree that a curve looks like those lines, but fainter.
     fn is_fainter_line(&self, curve: &StartCurve, views: &[&FitView]) -> bool {
-        if self.0.abs() < LEAST_CONTRAST {
-            return false;
-        }
         let mut each: Vec<f64> = views.iter().filter_map(|view| Some(contrast_along(curve, view)? / self.0)).collect();
         if 2 * each.len() < views.len() {
             return false;
@@ -105,7 +109,7 @@ impl Contrast {
 /// The mean contrast of a view along a curve; `None` where it shows less than half of it.
 fn contrast_along(curve: &StartCurve, view: &FitView) -> Option<f64> {
     let contrast = &view.lines.lines().contrast;
-    let at = |point: &crate::geometry::Point3| {
+    let at = |point: &Point3| {
         let seen = view.pose.project(point);
         let is_inside = seen.x >= -0.5 && seen.y >= -0.5;
         contrast.get([seen.y.round() as usize, seen.x.round() as usize]).filter(|_| is_inside).copied()
@@ -127,7 +131,7 @@ mod tests {
     use super::*;
     use crate::curve::TraceGraph;
     use crate::filter::gaussian_blur;
-    use crate::geometry::{Point2, Point3};
+    use crate::geometry::Point2;
     use crate::series::{LineIndex, ViewPose};
     use crate::simulate::draw::union_of_profiles;
 
@@ -195,17 +199,16 @@ mod tests {
             let share = right.count() as f64 / curve.points.len() as f64;
             (curve, share > 0.9)
         };
-        faint(views, &[&known], &FitSettings::default()).into_iter().map(is_right).collect()
+        faint(views, &[&known]).into_iter().map(is_right).collect()
     }
 
     /// A line that is fainter than those that are found is one; what has as much as these would have been found if it were
-    /// one. Its place is that of the tomogram, whatever lines single views have, and these are none.
+    /// one.
     #[test]
     fn a_fainter_line_is_one_and_what_is_as_dark_as_lines_is_something_else() {
         let curves = found(&views(41, 2.0, |_| 1.5));
         let length: usize = curves.iter().map(|(curve, _)| curve.points.len()).sum();
         assert!(length > 60 && curves.iter().all(|(_, is_right)| *is_right), "{length} {curves:?}");
-        assert!(curves.iter().all(|(curve, _)| curve.seen.iter().all(|seen| *seen == 0) && curve.support < 1e-9));
         assert!(found(&views(41, 2.0, |_| 2.0)).is_empty());
         assert!(found(&views(41, 0.0, |_| -1.5)).is_empty());
     }
@@ -233,6 +236,6 @@ mod tests {
             FitView { lines: LineIndex::new(lines), ..view }
         };
         assert!(found(&views(41, 0.0, |_| 1.5).into_iter().map(blind).collect::<Vec<_>>()).is_empty());
-        assert!(faint(&views(41, 0.0, |_| 1.5), &[], &FitSettings::default()).is_empty());
+        assert!(faint(&views(41, 0.0, |_| 1.5), &[]).is_empty());
     }
 }

@@ -89,7 +89,8 @@ pub fn reconstruct_series(
     }
     let mut kept = kept(&grown, &confirmed, &found);
     let known: Vec<&FittedCurve> = kept.iter().map(|index| &grown.curves[*index]).collect();
-    let faint = faint(&grown.views, &known, fit);
+    // One that was taken out may come back from what all views show, where that is.
+    let faint = faint(&grown.views, &known);
     let fitted = grown.curves.len();
     kept.extend(fitted..fitted + faint.len());
     grown.curves.extend(faint);
@@ -170,7 +171,7 @@ fn in_pair_form(
     let in_left = |point: &Point3| project_at_tilt(point, left.tilt_rad) + grid.shift;
     let in_right = |point: &Point3| project_at_tilt(point, right.tilt_rad) + grid.shift;
     let matched = kept.iter().map(|&index| {
-        // None for a curve of the tomogram.
+        // None for a curve of a tomogram.
         let (curve, old) = (&grown.curves[index], result.matched.get(index));
         let [on_left, on_right]: [Vec<Point2>; 2] =
             [curve.points.iter().map(in_left).collect(), curve.points.iter().map(in_right).collect()];
@@ -267,8 +268,8 @@ fn warnings(grown: &Grown, series: &Series, kept: &[usize], [of_pair, fitted]: [
     }
     if faint > 0 {
         let message = format!(
-            "{faint} curves were added that are too faint for the detector in most views (flagged as bridged where no two have a line): all \
-             views together show them, and they could be something else that is faint"
+            "{faint} curves were added that are too faint for the detector in most views (all flagged as bridged): all views together show \
+             them, and they could be something else that is faint; their sigma is that of the volume they are found in"
         );
         warnings.push(Warning::new(Stage::Match, message));
     }

@@ -17,7 +17,7 @@ const SEARCH_LEAST_PX: f64 = 12.0;
 /// What the fit to all views found.
 #[derive(Clone, Debug)]
 pub struct Grown {
-    /// The curves, in the order of the start.
+    /// The curves, in the order of the start, and behind them those that all views show.
     pub curves: Vec<FittedCurve>,
     /// The views that took part, those of the pair first.
     pub views: Vec<FitView>,

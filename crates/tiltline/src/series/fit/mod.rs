@@ -6,7 +6,7 @@
 //! turns the foil), and the pair's views to the rows that its rectification gave them; the shift and magnification of the first
 //! view, and the shift of the second along the rows, are the frame.
 //! [`grow`] starts from a pair and takes in views by and by; [`volume`] adds the lines that only all views together show,
-//! [`faint`] those of which the detector knows next to nothing, and [`settle`] finds poses without them where the pair's curves are wrong.
+//! [`faint`] those of which the detector knows next to nothing, and [`settle`] finds poses without the pair's curves where these are wrong.
 
 mod consensus;
 mod evidence;
@@ -132,7 +132,7 @@ impl FitView {
 pub struct FittedCurve {
     /// Points in the frame of the poses, px, as many as the curve had.
     pub points: Vec<Point3>,
-    /// One sigma of z at each, px: curve and poses together.
+    /// One sigma of z at each, px: curve and poses together; of a faint curve, that of the tomogram's voxels.
     pub sigma_z: Vec<f64>,
     /// In how many views each point lies on a line.
     pub seen: Vec<usize>,

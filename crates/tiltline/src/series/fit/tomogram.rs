@@ -83,6 +83,9 @@ fn beyond_chance(tomogram: &Array3<f32>, chance: &Array3<f32>, least: f64, most:
     // Values in steps of this, as far as the largest value of a tomogram can be of interest.
     const STEP: f64 = 1.1;
     const STEPS: usize = 60;
+    if least <= 0.0 {
+        return None;
+    }
     let shares = |tomogram: &Array3<f32>| {
         let mut counts = [0_usize; STEPS];
         for value in tomogram.iter().filter(|value| f64::from(**value) >= least) {
@@ -114,6 +117,7 @@ mod tests {
         let higher = beyond_chance(&real, &of(&[2.0; 20]), 1.0, 0.1).unwrap();
         assert!((2.0..=5.0).contains(&higher), "{higher}");
         assert_eq!(beyond_chance(&real, &real, 1.0, 0.1), None);
+        assert_eq!(beyond_chance(&real, &of(&[]), 0.0, 0.1), None);
         assert_eq!(beyond_chance(&of(&[]), &of(&[]), 1.0, 0.1), None);
     }
 }
