@@ -83,8 +83,10 @@ impl Chosen {
     ) -> Result<(Reconstruction, Vec<NamedFile>, ReportSeries)> {
         let axis_rad = result.rectified.rectification.rectified_from_left.isometry.rotation.angle();
         let aligned = align(&self.series, -axis_rad, &|_, _| ()).into_diagnostic()?;
-        let mut lines_of =
-            |view: usize| Ok(detect_lines(&self.series.view(view)?, &*stages.detector, &config.settings.trace));
+        let left = result.rectified.left.clone();
+        let mut lines_of = |view: usize| {
+            Ok(detect_lines(&self.series.view(view)?, Some(&left), &*stages.detector, &config.settings.trace))
+        };
         let fit = reconstruct_series(
             result,
             self.pair.views,

@@ -121,7 +121,8 @@ impl<'a> Foil<'a> {
             if let Some(found) = lines.get(&view) {
                 return Ok(found.clone());
             }
-            let found = detect_lines(&series.view(view)?, detector, &config.settings.trace);
+            let left = Some(&of_pair.rectified.left);
+            let found = detect_lines(&series.view(view)?, left, detector, &config.settings.trace);
             lines.insert(view, found.clone());
             Ok(found)
         };
@@ -300,8 +301,9 @@ fn reprojected(foil: &Foil<'_>, loaded: &Loaded, mut views: [usize; 4]) -> Resul
     let aligned = align(&loaded.series, curves.poses[0].axis_rad(), &|_, _| ()).into_diagnostic()?;
     // The pose of a view is looked for from its neighbour's: those between are needed too.
     let all: Vec<usize> = (0..loaded.series.views.len()).collect();
-    let mut lines_of =
-        |view: usize| Ok(detect_lines(&loaded.series.view(view)?, &*work.stages.detector, &work.config.settings.trace));
+    let left = loaded.series.view(item.pair[0]).into_diagnostic()?.normalised();
+    let (detector, settings) = (&*work.stages.detector, &work.config.settings.trace);
+    let mut lines_of = |view: usize| Ok(detect_lines(&loaded.series.view(view)?, Some(&left), detector, settings));
     let found = reproject(&curves, &loaded.series, &aligned, &all, &mut lines_of).into_diagnostic()?;
     let mut shown = Vec::new();
     let mut words = Vec::new();

@@ -125,7 +125,7 @@ fn line_length_px(image: &Micrograph) -> f64 {
         let shape = (image.height() / step, image.width() / step);
         Micrograph::new(ndarray::Array2::from_shape_fn(shape, |(row, column)| mean(row, column)))
     };
-    detect_lines(&small, &RidgeDetector::default(), &TraceSettings::default()).length_px()
+    detect_lines(&small, None, &RidgeDetector::default(), &TraceSettings::default()).length_px()
 }
 
 impl SeriesView {

@@ -39,16 +39,25 @@ pub struct ViewLines {
     pub contrast: Arc<Array2<i8>>,
 }
 
-/// Finds and traces the lines of a single view with the detector of a pair.
-pub fn detect_lines(image: &Micrograph, detector: &dyn Detect, settings: &TraceSettings) -> ViewLines {
+/// Finds and traces the lines of a single view with the detector of a pair. What a detector decides for both views of a pair, how wide lines
+/// are or whether they are dark, it decides alike for all views of a series that are seen `beside` the same one (another view of the foil,
+/// normalised); without it by the view alone.
+pub fn detect_lines(
+    image: &Micrograph,
+    beside: Option<&Array2<f32>>,
+    detector: &dyn Detect,
+    settings: &TraceSettings,
+) -> ViewLines {
     let pixels = image.normalised();
     let shape = [pixels.nrows(), pixels.ncols()];
     if pixels.iter().all(|value| *value == 0.0) {
         return ViewLines::new(TraceGraph::default(), shape);
     }
     let contrast = contrast(&pixels);
-    let pair = alone(pixels);
-    let map = detector.detect(&pair, View::Left);
+    let left = beside.unwrap_or(&pixels).clone();
+    let rectification = Rectification::known([Similarity2::identity(); 2], shape);
+    let pair = RectifiedPair { left, right: pixels, rectification };
+    let map = detector.detect(&pair, View::Right);
     let probability = map.probability.mapv(|value| (255.0 * value.clamp(0.0, 1.0)).round() as u8);
     let lines = ViewLines::new(trace(&map, settings), shape);
     ViewLines { probability: Arc::new(probability), contrast: Arc::new(contrast), ..lines }
@@ -66,13 +75,6 @@ fn contrast(pixels: &Array2<f32>) -> Array2<i8> {
         *value = if sigma > LEAST_SIGMA { *value / (ViewLines::CONTRAST_STEP * sigma) } else { 0.0 };
     });
     darker.mapv(|value| value.round().clamp(-127.0, 127.0) as i8)
-}
-
-/// A "pair" of one image, for detectors, which look at pairs.
-fn alone(pixels: Array2<f32>) -> RectifiedPair {
-    let shape = [pixels.nrows(), pixels.ncols()];
-    let rectification = Rectification::known([Similarity2::identity(); 2], shape);
-    RectifiedPair { left: pixels.clone(), right: pixels, rectification }
 }
 
 impl ViewLines {
@@ -219,6 +221,30 @@ impl LineIndex {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::curve::LineMap;
+
+    /// Finds lines in the right view as wide as the left one is bright.
+    struct Both;
+
+    impl Detect for Both {
+        fn detect(&self, pair: &RectifiedPair, view: View) -> LineMap {
+            let probability = pair.view(view).mapv(|value| value * pair.left[[0, 0]]);
+            LineMap { probability, line_width_px: 3.0 }
+        }
+    }
+
+    /// What is found in a view depends on the view that it is seen beside, which may have another shape, or on itself alone.
+    #[test]
+    fn a_view_is_seen_beside_another() {
+        let pixels = Array2::from_shape_fn([20, 30], |(_, column)| if column < 3 { 1.0 } else { 0.0 });
+        let image = Micrograph::new(pixels);
+        let found = |beside: Option<&Array2<f32>>| {
+            detect_lines(&image, beside, &Both, &TraceSettings::default()).probability[[0, 1]]
+        };
+        assert_eq!(found(None), 255);
+        assert_eq!(found(Some(&Array2::from_elem([8, 9], 0.2))), 51);
+        assert_eq!(found(Some(&Array2::zeros([50, 9]))), 0);
+    }
 
     /// A dark line stands out by its sign and in the view's own noise, whatever the grey levels; nothing does so by more than is kept.
     #[test]

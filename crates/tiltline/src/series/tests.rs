@@ -42,6 +42,26 @@ fn a_stack_in_any_order_is_sorted_and_keeps_its_sections() {
     assert_eq!(open(&path, None).unwrap().tilts_from, "series.rawtlt");
 }
 
+/// Stacks of ImageJ (made by tifffile, see `tests/data/make.py`): a directory for each image, or one for all as it writes big ones. Pixel size
+/// from the description, 250 px per um.
+#[test]
+fn stacks_of_imagej_are_series() {
+    for name in ["imagej_stack.tif", "imagej_one_directory.tif"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name);
+        let series = open(&path, Some("6,-6,2,-2")).unwrap();
+        assert_eq!(series.tilts_deg(), [-6.0, -2.0, 2.0, 6.0], "{name}");
+        assert_eq!(series.views.iter().map(|view| view.section).collect::<Vec<_>>(), [1, 3, 2, 0]);
+        assert_eq!(series.pixel_size.as_ref().map(|(size, _)| *size), Some(4.0));
+        for view in 0..4 {
+            let page = format!("{}#{}", path.to_string_lossy(), series.views[view].section);
+            let expected = crate::io::read_micrograph(&page).unwrap().pixels;
+            assert_eq!(series.view(view).unwrap().pixels, expected, "{name} {view}");
+        }
+        let first = |view: usize| series.view(view).unwrap().pixels[[0, 0]];
+        assert!(first(0) != first(3), "{name}");
+    }
+}
+
 #[test]
 fn what_is_no_series_is_named_with_its_values() {
     let folder = tempfile::tempdir().unwrap();

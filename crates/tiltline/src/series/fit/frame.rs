@@ -5,7 +5,7 @@ use super::faint::faint;
 use super::grow::{aligned_views, extended};
 use super::settle::settled;
 use super::volume::{Volume, away_from};
-use super::{FitSettings, FittedCurve, Grown, StartCurve, grow};
+use super::{FitSettings, FittedCurve, Grown, Hold, StartCurve, grow};
 use crate::curve::{Flag, MatchedCurve, MatchedPoint, TraceEnd, TraceGraph};
 use crate::geometry::{Point2, Point3, Similarity2, TiltPair, Vector2, project_at_tilt};
 use crate::matching::unmatched_lines;
@@ -83,9 +83,9 @@ pub fn reconstruct_series(
     let of_pair = kept(&grown, &confirmed, &found);
     let new = away_from(&found.curves, of_pair.iter().map(|index| &grown.curves[*index]));
     if !new.is_empty() {
-        // Where the pair's curves led astray they hold nothing.
-        let held = if is_aligned { &[] } else { &start[..] };
-        grown = extended(grown, &new, held, fit);
+        // Where the pair's curves led astray they hold nothing; what views agree on does.
+        let (hold, held) = if is_aligned { (Hold::AGREED, &[][..]) } else { (Hold::LOOSE, &start[..]) };
+        grown = extended(grown, hold, &new, held, fit);
     }
     let mut kept = kept(&grown, &confirmed, &found);
     let known: Vec<&FittedCurve> = kept.iter().map(|index| &grown.curves[*index]).collect();

@@ -1,6 +1,6 @@
 //! The fit from a pair outwards: views are taken in by their distance in tilt, each registered on the curves as they are by then.
 
-use super::{FitSettings, FitView, FittedCurve, Problem, StartCurve};
+use super::{FitSettings, FitView, FittedCurve, Hold, Problem, StartCurve};
 use crate::geometry::{Point2, Point3};
 use crate::series::{AlignedSeries, LineIndex, Series, SeriesError, ViewLines, ViewPose, register};
 
@@ -90,9 +90,8 @@ pub fn grow(
     let search_px = (SEARCH_SHARE * series.shape[0].max(series.shape[1]) as f64).max(SEARCH_LEAST_PX);
     let mut left_out = Vec::new();
     while !waiting.is_empty() {
-        // At least the next two views, however far they are.
-        let limit = (GROWTH * reached).max((tilt(waiting[1.min(waiting.len() - 1)]) - mid).abs() + 1e-9);
-        let batch = waiting.iter().take_while(|&&view| (tilt(view) - mid).abs() <= limit).count();
+        let off: Vec<f64> = waiting.iter().map(|&view| (tilt(view) - mid).abs()).collect();
+        let (batch, limit) = next_batch(&off, reached);
         for view in waiting.drain(..batch) {
             let lines = LineIndex::new(lines_of(view)?);
             let start = expected(view, tilt(view) - mid, &problem.views, aligned);
@@ -107,6 +106,14 @@ pub fn grow(
     }
     problem.run(settings.rounds, [settings.reach_px; 2], settings);
     Ok(finished(problem, left_out, settings))
+}
+
+/// How many of the views that wait come in next, and how far the tilts reach then; views are ordered by how far their tilts are from the
+/// pair's middle, `off_rad`, of which there is one at least.
+pub(super) fn next_batch(off_rad: &[f64], reached_rad: f64) -> (usize, f64) {
+    // At least the next two, however far they are.
+    let limit = (GROWTH * reached_rad).max(off_rad[1.min(off_rad.len() - 1)] + 1e-9);
+    (off_rad.iter().take_while(|off| **off <= limit).count(), limit)
 }
 
 /// The views of a series where its alignment says they are, those of the pair first; lines that are known already are not looked for
@@ -149,12 +156,19 @@ fn placed(pair: [(usize, ViewPose); 2], tilts_rad: &[f64], aligned: &[ViewPose])
     poses
 }
 
-/// Fits the same views again, with further curves behind those that were fitted before. The first ones are held to the depths of `held`,
-/// which are in the same frame.
-pub(super) fn extended(before: Grown, further: &[StartCurve], held: &[StartCurve], settings: &FitSettings) -> Grown {
+/// Fits the same views again, whose poses are known as well as `hold` says, with further curves behind those that were fitted before. The
+/// first ones are held to the depths of `held`, which are in the same frame.
+pub(super) fn extended(
+    before: Grown,
+    hold: Hold,
+    further: &[StartCurve],
+    held: &[StartCurve],
+    settings: &FitSettings,
+) -> Grown {
     let mut curves: Vec<StartCurve> = before.curves.iter().map(FittedCurve::as_start).collect();
     curves.extend_from_slice(further);
     let mut problem = Problem::new(&curves, before.views, settings);
+    problem.hold = hold;
     problem.hold_depths(held);
     problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
     problem.run(settings.rounds, [settings.reach_px; 2], settings);

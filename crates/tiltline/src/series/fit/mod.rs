@@ -78,8 +78,6 @@ impl Default for FitSettings {
 const FIXED: f64 = 1e-5;
 /// The mean of the tilts is held to this, degrees.
 const MEAN_TILT_SIGMA_DEG: f64 = 1e-3;
-/// A prior of the shift of a view, px: wide, so that a view without observations stays soluble.
-const SHIFT_SIGMA_PX: f64 = 50.0;
 /// A step of a round is cut to this, px.
 const MOST_STEP_PX: f64 = 6.0;
 
@@ -159,12 +157,31 @@ struct KnownDepth {
     share: f64,
 }
 
+/// How well the poses are known that a fit starts from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Hold {
+    /// One sigma of the place of a view, px.
+    shift_px: f64,
+    /// Share of the sigmas of turn and magnification in the settings.
+    share: f64,
+}
+
+impl Hold {
+    /// Hardly: places are wide open, but a view without observations stays soluble.
+    const LOOSE: Self = Self { shift_px: 50.0, share: 1.0 };
+    /// As well as views agree on them by all that they show: most are good to half a px, of the far ones some are not.
+    const AGREED: Self = Self { shift_px: 1.0, share: 0.5 };
+    /// Curves are fitted to views as they are.
+    const FIRM: Self = Self { shift_px: 0.1, share: 0.1 };
+}
+
 /// Curves and poses while they are fitted.
 struct Problem {
     splines: Vec<Sampled>,
     views: Vec<FitView>,
-    /// The poses that the priors of turn and magnification are about.
+    /// The poses that the priors are about, and how well they hold.
     start: Vec<ViewPose>,
+    hold: Hold,
     noise: Vec<Noise>,
     /// Depths that are known beforehand, for each curve.
     depths: Vec<Vec<KnownDepth>>,
@@ -177,7 +194,7 @@ impl Problem {
         let splines = curves.iter().map(|curve| sampled(curve, settings.roughness)).collect();
         let noise = vec![Noise::default(); views.len()];
         let start = views.iter().map(|view| view.pose).collect();
-        Self { splines, start, views, noise, depths: Vec::new(), step: None }
+        Self { splines, start, hold: Hold::LOOSE, views, noise, depths: Vec::new(), step: None }
     }
 
     /// Holds curves to the depths that they start with, as far as these are known. What they are known from are the lines of the pair,
@@ -219,7 +236,14 @@ impl Problem {
     /// go on from view to view.
     fn add(&mut self, view: FitView) {
         let ViewPose { tilt_rad, .. } = view.pose;
-        self.start.push(ViewPose::new(tilt_rad, self.start[0].axis_rad(), self.start[0].scale(), view.pose.origin()));
+        let start = ViewPose::new(tilt_rad, self.start[0].axis_rad(), self.start[0].scale(), view.pose.origin());
+        self.add_placed(view);
+        *self.start.last_mut().expect("one was added") = start;
+    }
+
+    /// Takes in another view that is held to where it is.
+    fn add_placed(&mut self, view: FitView) {
+        self.start.push(view.pose);
         self.noise.push(Noise::default());
         self.views.push(view);
     }
@@ -274,8 +298,8 @@ impl Problem {
             }
         };
         let tilt_sigma = settings.tilt_sigma_deg.max(1e-6).to_radians();
-        let turn_sigma = settings.turn_sigma_deg.max(1e-6).to_radians();
-        let scale_sigma = settings.scale_sigma.max(1e-9);
+        let turn_sigma = self.hold.share * settings.turn_sigma_deg.max(1e-6).to_radians();
+        let scale_sigma = self.hold.share * settings.scale_sigma.max(1e-9);
         let off = |index: usize| {
             let (pose, start) = (&self.views[index].pose, &self.start[index]);
             let turned = pose.axis_rad() - start.axis_rad();
@@ -290,7 +314,8 @@ impl Problem {
             let (moved, turned, grown) = off(index);
             // The views of the pair are the frame: the place of one, and of the other along the rows.
             let (sin, cos) = self.start[index].axis_rad().sin_cos();
-            let [along, across] = [[FIXED, FIXED], [FIXED, rows]].get(index).copied().unwrap_or([SHIFT_SIGMA_PX; 2]);
+            let [along, across] =
+                [[FIXED, FIXED], [FIXED, rows]].get(index).copied().unwrap_or([self.hold.shift_px; 2]);
             hold(&[(first, cos), (first + 1, sin)], cos * moved.x + sin * moved.y, along);
             hold(&[(first, -sin), (first + 1, cos)], cos * moved.y - sin * moved.x, across);
             hold(&[(first + 2, 1.0)], turned, turn_sigma);

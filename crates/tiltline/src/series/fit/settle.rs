@@ -3,11 +3,13 @@
 //! Views are registered on the pair's curves. Where most of these are wrong, so are the poses; the alignment of the images, which
 //! knows of no lines, is then the better start. It is good to a px or two and knows of no turns; the views agree on more: each moves to
 //! where the tomogram of the others shows it ([`consensus`](super::consensus)). How well views agree there tells which poses are right.
+//! What they agree on is worth more than the pair's curves, most of which are wrong here: these are fitted to the views as they lie, and
+//! move them only within what the views agree to.
 
 use super::consensus::{agreement, in_consensus};
-use super::grow::{ROUNDS, WIDE_PX, finished, shown_by_both};
+use super::grow::{ROUNDS, WIDE_PX, finished, next_batch, shown_by_both};
 use super::volume::{Volume, depth_of};
-use super::{FitSettings, FitView, Grown, Problem, StartCurve};
+use super::{FitSettings, FitView, FittedCurve, Grown, Hold, Problem, StartCurve};
 use crate::series::ViewPose;
 
 /// Views must agree by so much more for the aligned ones to be taken: registered ones are known to lie on lines.
@@ -32,15 +34,44 @@ pub(super) fn settled(
         let volume = Volume::new(&registered.views, known);
         return (registered, volume, false);
     };
-    // The pair's curves at these poses, which the others hold; wrong ones pull, the longer the more.
     let volume = Volume::new(&aligned, known);
-    let mut all = curves.to_vec();
-    all.extend_from_slice(&volume.curves);
-    let mut problem = Problem::new(&all, aligned, settings);
-    problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
+    let grown = fitted_to_placed(aligned, curves, &volume.curves, settings);
+    (grown, volume, true)
+}
+
+/// The pair's curves, fitted to views that agree where they lie. What is known of their depths from a few degrees leads far beside their
+/// lines in far views: they come to those from the pair outwards, while views stay. Then the views move too, within what they agree to and
+/// held by the curves that they all show, `shown`; wrong ones of the pair pull, the longer the more.
+fn fitted_to_placed(
+    mut views: Vec<FitView>,
+    curves: &[StartCurve],
+    shown: &[StartCurve],
+    settings: &FitSettings,
+) -> Grown {
+    let mid = 0.5 * (views[0].pose.tilt_rad + views[1].pose.tilt_rad);
+    let off = |view: &FitView| (view.pose.tilt_rad - mid).abs();
+    views[2..].sort_by(|a, b| off(a).total_cmp(&off(b)));
+    let mut problem = Problem::new(curves, views[..2].to_vec(), settings);
+    problem.hold = Hold::FIRM;
+    let (mut placed, mut reached) = (2, off(&views[0]).max(1e-3));
+    while placed < views.len() {
+        let waiting: Vec<f64> = views[placed..].iter().map(off).collect();
+        let (batch, limit) = next_batch(&waiting, reached);
+        for view in &views[placed..placed + batch] {
+            problem.add_placed(view.clone());
+        }
+        (placed, reached) = (placed + batch, limit);
+        problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
+    }
+    let led = finished(problem, Vec::new(), settings);
+    let mut all: Vec<StartCurve> = led.curves.iter().map(FittedCurve::as_start).collect();
+    all.extend_from_slice(shown);
+    let mut problem = Problem::new(&all, views, settings);
+    problem.hold = Hold::AGREED;
+    problem.run(ROUNDS, [settings.reach_px; 2], settings);
     let mut grown = finished(problem, Vec::new(), settings);
     grown.curves.truncate(curves.len());
-    (grown, volume, true)
+    grown
 }
 
 /// Whether the views that both have agree clearly more as they are in the first than in the second, on average: more than these do when
@@ -81,7 +112,6 @@ mod tests {
     use super::super::tests::{SHAPE, curves, noisy_lines};
     use super::*;
     use crate::geometry::{Point2, Point3, Vector2};
-    use crate::series::fit::FittedCurve;
     use crate::series::{LineIndex, ViewLines, ViewPose};
     use crate::simulate::draw::union_of_profiles;
 
@@ -164,6 +194,28 @@ mod tests {
             let worst = worst_px(&grown, &truth) / scale;
             assert!(worst < 1.0, "{axis_rad} {scale} {worst}");
         }
+    }
+
+    /// Curves that the pair puts 40 px too deep, or not deep enough, are nearer to other lines than to theirs in far views, all of which are where
+    /// they agree to be; from the pair outwards they come to theirs, and no view moves for it.
+    #[test]
+    fn curves_come_to_their_lines_from_the_pair_outwards() {
+        let settings = FitSettings::default();
+        let (truth, placed) = views(0.0);
+        let mut start = curves_as_start(1.0);
+        for (index, curve) in start.iter_mut().enumerate() {
+            let off = if index % 2 == 0 { 40.0 } else { -40.0 };
+            curve.points.iter_mut().for_each(|point| point.z += off);
+            curve.sigma_z.fill(20.0);
+        }
+        let grown = fitted_to_placed(placed, &start, &[], &settings);
+        assert_eq!(grown.curves.len(), start.len());
+        for (fitted, truth) in grown.curves.iter().zip(curves()) {
+            let middle = truth.len() / 2;
+            let off = fitted.points[middle].z - truth[middle].z;
+            assert!(off.abs() < 1.0 && fitted.support > 0.9, "{off} {}", fitted.support);
+        }
+        assert!(worst_px(&grown, &truth) < 0.2, "{}", worst_px(&grown, &truth));
     }
 
     /// Curves whose depth is turned over say nothing right of where other views lie; the alignment of the series does, to 1.5 px, and
