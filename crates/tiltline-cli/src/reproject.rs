@@ -8,7 +8,9 @@ use tiltline::export::{Staging, check_target, reprojection, xf};
 use tiltline::io::{parse_tilts, xf as transforms};
 use tiltline::progress::Stage;
 use tiltline::report::series::ReportSeries;
-use tiltline::series::{AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject};
+use tiltline::series::{
+    AlignedSeries, Reprojection, SavedCurves, Series, align, detect_lines, reproject, typical_view,
+};
 use tiltline::warning::Warning;
 
 use crate::args::{Lines, Method, Verbosity};
@@ -93,13 +95,11 @@ pub fn run(flags: &Reproject) -> Result<()> {
     let mut done = 0;
     // A pose is looked for from its neighbour's: those between are needed too, and the alignment must not depend on what is shown.
     let all: Vec<usize> = (0..series.views.len()).collect();
-    // Where the left view of the pair is in the series, every view is looked at as the pair was.
-    let left = series.nearest(curves.tilts.left_rad.to_degrees()).ok();
-    let left = left.map(|view| series.view(view)).transpose().into_diagnostic()?.map(|image| image.normalised());
+    let beside = typical_view(&series, &*stages.detector).into_diagnostic()?;
     let mut lines_of = |view: usize| {
         count.show(done, all.len());
         done += 1;
-        Ok(detect_lines(&series.view(view)?, left.as_ref(), &*stages.detector, &config.settings.trace))
+        Ok(detect_lines(&series.view(view)?, beside.as_ref(), &*stages.detector, &config.settings.trace))
     };
     let found = reproject(&curves, &series, &aligned, &all, &mut lines_of).into_diagnostic();
     count.clear();

@@ -6,7 +6,9 @@ use tiltline::export::{self, xf};
 use tiltline::io::parse_tilts;
 use tiltline::reconstruction::Reconstruction;
 use tiltline::report::series::ReportSeries;
-use tiltline::series::{ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series};
+use tiltline::series::{
+    ChosenPair, Series, align, choose_pair, detect_lines, pair_at, reconstruct_series, typical_view,
+};
 
 use crate::args::Reconstruct;
 use crate::config::Config;
@@ -83,10 +85,9 @@ impl Chosen {
     ) -> Result<(Reconstruction, Vec<NamedFile>, ReportSeries)> {
         let axis_rad = result.rectified.rectification.rectified_from_left.isometry.rotation.angle();
         let aligned = align(&self.series, -axis_rad, &|_, _| ()).into_diagnostic()?;
-        let left = result.rectified.left.clone();
-        let mut lines_of = |view: usize| {
-            Ok(detect_lines(&self.series.view(view)?, Some(&left), &*stages.detector, &config.settings.trace))
-        };
+        let (detector, trace) = (&*stages.detector, &config.settings.trace);
+        let beside = typical_view(&self.series, detector).into_diagnostic()?;
+        let mut lines_of = |view: usize| Ok(detect_lines(&self.series.view(view)?, beside.as_ref(), detector, trace));
         let fit = reconstruct_series(
             result,
             self.pair.views,

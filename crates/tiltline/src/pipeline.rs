@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use ndarray::Array2;
+
 use crate::curve::{LineMap, MatchedCurve, TraceGraph, UnmatchedLine};
 use crate::matching::unmatched_lines;
 use crate::measure::measure;
@@ -19,6 +21,12 @@ use crate::warning::Warning;
 pub trait Detect: Sync {
     /// Line probability on the rectified grid of that view, zero where it has no data.
     fn detect(&self, pair: &RectifiedPair, view: View) -> LineMap;
+
+    /// Which of these views of one series (normalised, at least one) stands for all, as the left view does for a pair, where the detector
+    /// decides by the look of an image, such as how wide lines are; else the middle one.
+    fn typical(&self, views: &[Array2<f32>]) -> usize {
+        views.len() / 2
+    }
 }
 
 /// Finds the disparity along left lines: dynamic programming, a network, or the simulator's truth.

@@ -19,7 +19,7 @@ use tiltline::pipeline;
 use tiltline::reconstruction::Reconstruction;
 use tiltline::report::{Report, figures, page};
 use tiltline::score::ResultCurves;
-use tiltline::series::{SavedCurves, Series, ViewLines, align, detect_lines, reproject};
+use tiltline::series::{SavedCurves, Series, ViewLines, align, detect_lines, reproject, typical_view};
 use tiltline::tomography::against_truth::KnownSeries;
 use tiltline::tomography::prepare::PrepareSettings;
 use tiltline::truth::Truth;
@@ -116,13 +116,13 @@ impl<'a> Foil<'a> {
         let pair = stereo_pair(self.dataset, self.item, truth, self.item.pair).into_diagnostic()?;
         let of_pair = pipeline::reconstruct(pair, detector, matcher, &config.settings, &|_| {}).into_diagnostic()?;
         let true_pair = truth.pair(self.item.pair[0], self.item.pair[1]).into_diagnostic()?;
+        let beside = typical_view(series, detector).into_diagnostic()?;
         let mut lines: HashMap<usize, ViewLines> = HashMap::new();
         let mut lines_of = |view: usize| {
             if let Some(found) = lines.get(&view) {
                 return Ok(found.clone());
             }
-            let left = Some(&of_pair.rectified.left);
-            let found = detect_lines(&series.view(view)?, left, detector, &config.settings.trace);
+            let found = detect_lines(&series.view(view)?, beside.as_ref(), detector, &config.settings.trace);
             lines.insert(view, found.clone());
             Ok(found)
         };
@@ -301,9 +301,9 @@ fn reprojected(foil: &Foil<'_>, loaded: &Loaded, mut views: [usize; 4]) -> Resul
     let aligned = align(&loaded.series, curves.poses[0].axis_rad(), &|_, _| ()).into_diagnostic()?;
     // The pose of a view is looked for from its neighbour's: those between are needed too.
     let all: Vec<usize> = (0..loaded.series.views.len()).collect();
-    let left = loaded.series.view(item.pair[0]).into_diagnostic()?.normalised();
-    let (detector, settings) = (&*work.stages.detector, &work.config.settings.trace);
-    let mut lines_of = |view: usize| Ok(detect_lines(&loaded.series.view(view)?, Some(&left), detector, settings));
+    let (detector, trace) = (&*work.stages.detector, &work.config.settings.trace);
+    let beside = typical_view(&loaded.series, detector).into_diagnostic()?;
+    let mut lines_of = |view: usize| Ok(detect_lines(&loaded.series.view(view)?, beside.as_ref(), detector, trace));
     let found = reproject(&curves, &loaded.series, &aligned, &all, &mut lines_of).into_diagnostic()?;
     let mut shown = Vec::new();
     let mut words = Vec::new();

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use ndarray::{Array2, Zip};
+use ndarray::{Array2, Zip, s};
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
+use super::{Series, SeriesError};
 use crate::curve::TraceGraph;
 use crate::filter::gaussian_blur;
 use crate::geometry::{Point2, Similarity2, Vector2};
@@ -24,6 +25,10 @@ const NOISE_PX: f64 = 36.0;
 /// A place that differs from its background by less is the same everywhere.
 const LEAST_SIGMA: f32 = 1e-5;
 
+/// Views of a series that are asked how lines look in it, at most, and the side of the part of each that is looked at, px.
+const MOST_ASKED: usize = 15;
+const MIDDLE_PX: usize = 768;
+
 /// Lines found in one view, in its input px.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewLines {
@@ -39,9 +44,32 @@ pub struct ViewLines {
     pub contrast: Arc<Array2<i8>>,
 }
 
+/// The middle of a view that is typical of a series, normalised: beside it all views are looked at alike ([`detect_lines`]). `None` where no
+/// view shows anything.
+///
+/// # Errors
+/// Where a view cannot be read.
+pub fn typical_view(series: &Series, detector: &dyn Detect) -> Result<Option<Array2<f32>>, SeriesError> {
+    let count = series.views.len();
+    let asked = count.min(MOST_ASKED);
+    let mut middles = Vec::new();
+    for place in 0..asked {
+        let pixels = series.view(place * (count - 1) / (asked - 1).max(1))?.normalised();
+        let part = |length: usize| {
+            let start = length.saturating_sub(MIDDLE_PX) / 2;
+            start..(start + MIDDLE_PX).min(length)
+        };
+        let middle = pixels.slice(s![part(pixels.nrows()), part(pixels.ncols())]).to_owned();
+        if middle.iter().any(|value| *value != 0.0) {
+            middles.push(middle);
+        }
+    }
+    Ok((!middles.is_empty()).then(|| middles.swap_remove(detector.typical(&middles))))
+}
+
 /// Finds and traces the lines of a single view with the detector of a pair. What a detector decides for both views of a pair, how wide lines
-/// are or whether they are dark, it decides alike for all views of a series that are seen `beside` the same one (another view of the foil,
-/// normalised); without it by the view alone.
+/// are or whether they are dark, it decides alike for all views of a series that are looked at `beside` the same one ([`typical_view`]);
+/// without it by the view alone.
 pub fn detect_lines(
     image: &Micrograph,
     beside: Option<&Array2<f32>>,

@@ -27,7 +27,7 @@ pub use choose::{ChosenPair, choose_pair, pair_at};
 pub use error::SeriesError;
 pub use evenness::tilt_notes;
 pub use fit::{FitSettings, FitView, FittedCurve, Grown, SeriesFit, StartCurve, grow, reconstruct_series};
-pub use lines::{LineIndex, ViewLines, detect_lines};
+pub use lines::{LineIndex, ViewLines, detect_lines, typical_view};
 pub use pose::ViewPose;
 pub use read::{Series, SeriesView};
 pub use register::{Registration, chance_near_lines, register};
