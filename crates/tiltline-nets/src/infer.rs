@@ -211,8 +211,6 @@ impl Detect for NetDetector {
     /// this or that by chance.
     fn typical(&self, views: &[Array2<f32>]) -> usize {
         let lengths: Vec<Vec<f64>> = views.iter().map(|view| self.lengths(view)).collect();
-            println!("LEN {lengths:?}");
-        }
         typical(&lengths)
     }
 }
