@@ -168,7 +168,9 @@ impl NetDetector {
     /// How often an image is halved before lines are looked for: lines should be as wide as those the network was taught (some 2
     /// to 10 px), and where they are, it finds most. Judged on the middle of large images.
     pub fn octave(&self, image: &Array2<f32>) -> u32 {
-        octave_of_most(&self.lengths(image)) as u32
+        let lengths = self.lengths(image);
+        // The finest of equals.
+        (0..lengths.len()).rev().max_by(|&a, &b| lengths[a].total_cmp(&lengths[b])).unwrap_or(0) as u32
     }
 
     /// Length of the lines that are found per area of an image when it is halved 0, 1, 2, ... times; finer ones count for more.
@@ -207,33 +209,9 @@ impl Detect for NetDetector {
         self.lines(pair.view(view), self.octave(&pair.left))
     }
 
-    /// A view that wants the magnification at which most is found in all views together: where lines are in between, single ones want
-    /// this or that by chance.
-    fn typical(&self, views: &[Array2<f32>]) -> usize {
-        let lengths: Vec<Vec<f64>> = views.iter().map(|view| self.lengths(view)).collect();
-        typical(&lengths)
+    fn looks(&self, view: &Array2<f32>) -> Vec<f64> {
+        self.lengths(view)
     }
-}
-
-/// The octave of the largest length, the finest of equals.
-fn octave_of_most(lengths: &[f64]) -> usize {
-    let mut best = 0;
-    for (octave, length) in lengths.iter().enumerate() {
-        if *length > lengths[best] {
-            best = octave;
-        }
-    }
-    best
-}
-
-/// The view that tells most clearly for the octave at which most is found in all of them together, from the lengths in each.
-fn typical(lengths: &[Vec<f64>]) -> usize {
-    let octaves = lengths.iter().map(Vec::len).min().unwrap_or(0);
-    let sums: Vec<f64> = (0..octaves).map(|octave| lengths.iter().map(|each| each[octave]).sum()).collect();
-    let best = octave_of_most(&sums);
-    let share = |each: &Vec<f64>| each[best] / each[octave_of_most(each)].max(f64::MIN_POSITIVE);
-    // The first of equals.
-    (0..lengths.len()).rev().max_by(|&a, &b| share(&lengths[a]).total_cmp(&share(&lengths[b]))).unwrap_or(0)
 }
 
 /// The 3D network as a matcher.

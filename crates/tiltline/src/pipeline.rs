@@ -22,10 +22,10 @@ pub trait Detect: Sync {
     /// Line probability on the rectified grid of that view, zero where it has no data.
     fn detect(&self, pair: &RectifiedPair, view: View) -> LineMap;
 
-    /// Which of these views of one series (normalised, at least one) stands for all, as the left view does for a pair, where the detector
-    /// decides by the look of an image, such as how wide lines are; else the middle one.
-    fn typical(&self, views: &[Array2<f32>]) -> usize {
-        views.len() / 2
+    /// How much is found in a view (normalised) at each look that lines may have, such as their widths, where the detector decides on one for
+    /// both views of a pair by the left one; nothing where it decides on none.
+    fn looks(&self, _view: &Array2<f32>) -> Vec<f64> {
+        Vec::new()
     }
 }
 

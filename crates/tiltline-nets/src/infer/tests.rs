@@ -113,14 +113,3 @@ fn the_built_in_weights_are_what_they_are_called() {
     NetDetector::new(&Named::built_in_detector().unwrap(), &device).unwrap();
     NetMatcher::new(&Named::built_in_matcher().unwrap(), None, MatchSettings::default(), &device).unwrap();
 }
-
-/// Views of which some want this octave and some that by a little: what they find together decides, and a view that wants that stands for all.
-#[test]
-fn what_all_views_find_together_decides_on_the_octave() {
-    let lengths = [[1.0, 1.1, 0.2], [3.0, 2.0, 0.1], [1.0, 1.2, 0.3]].map(Vec::from);
-    assert_eq!(typical(&lengths), 1);
-    assert_eq!(typical(&[vec![1.0, 1.1], vec![1.0, 0.95], vec![0.8, 1.0]]), 0);
-    // An image without lines wants nothing; images may be too small for an octave.
-    assert_eq!(typical(&[vec![0.0; 3], vec![0.0; 2]]), 0);
-    assert_eq!(typical(&[vec![0.1], vec![0.0, 5.0, 5.0]]), 0);
-}

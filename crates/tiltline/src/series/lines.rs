@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ndarray::{Array2, Zip, s};
+use ndarray::{Array2, Zip};
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
@@ -25,9 +25,8 @@ const NOISE_PX: f64 = 36.0;
 /// A place that differs from its background by less is the same everywhere.
 const LEAST_SIGMA: f32 = 1e-5;
 
-/// Views of a series that are asked how lines look in it, at most, and the side of the part of each that is looked at, px.
+/// Views of a series that are asked how lines look in it, at most.
 const MOST_ASKED: usize = 15;
-const MIDDLE_PX: usize = 768;
 
 /// Lines found in one view, in its input px.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,31 +43,48 @@ pub struct ViewLines {
     pub contrast: Arc<Array2<i8>>,
 }
 
-/// The middle of a view that is typical of a series, normalised: beside it all views are looked at alike ([`detect_lines`]). `None` where no
-/// view shows anything.
+/// A view that is typical of how lines look in a series, normalised: beside it all views are looked at alike ([`detect_lines`]). Where lines
+/// are between two widths single views want this or that by chance; what is found in all of them together decides. `None` where the detector
+/// has nothing to decide, and where none of the views that are asked shows anything.
 ///
 /// # Errors
 /// Where a view cannot be read.
 pub fn typical_view(series: &Series, detector: &dyn Detect) -> Result<Option<Array2<f32>>, SeriesError> {
     let count = series.views.len();
     let asked = count.min(MOST_ASKED);
-    let mut middles = Vec::new();
+    let mut found = Vec::new();
     for place in 0..asked {
-        let pixels = series.view(place * (count - 1) / (asked - 1).max(1))?.normalised();
-        let part = |length: usize| {
-            let start = length.saturating_sub(MIDDLE_PX) / 2;
-            start..(start + MIDDLE_PX).min(length)
-        };
-        let middle = pixels.slice(s![part(pixels.nrows()), part(pixels.ncols())]).to_owned();
-        if middle.iter().any(|value| *value != 0.0) {
-            middles.push(middle);
+        let view = place * (count - 1) / (asked - 1).max(1);
+        let pixels = series.view(view)?.normalised();
+        if pixels.iter().any(|value| *value != 0.0) {
+            let looks = detector.looks(&pixels);
+            if looks.is_empty() {
+                return Ok(None);
+            }
+            found.push((view, looks));
         }
     }
-    Ok((!middles.is_empty()).then(|| middles.swap_remove(detector.typical(&middles))))
+    let (views, looks): (Vec<usize>, Vec<Vec<f64>>) = found.into_iter().unzip();
+    typical(&looks).map(|place| Ok(series.view(views[place])?.normalised())).transpose()
 }
 
-/// Finds and traces the lines of a single view with the detector of a pair. What a detector decides for both views of a pair, how wide lines
-/// are or whether they are dark, it decides alike for all views of a series that are looked at `beside` the same one ([`typical_view`]);
+/// The view that tells most clearly for the look at which most is found in all of them together, from what is found in each.
+fn typical(found: &[Vec<f64>]) -> Option<usize> {
+    let looks = found.iter().map(Vec::len).min()?;
+    let sums: Vec<f64> = (0..looks).map(|look| found.iter().map(|each| each[look]).sum()).collect();
+    let best = largest(&sums);
+    let share = |each: &Vec<f64>| each[best] / each[largest(each)].max(f64::MIN_POSITIVE);
+    // The first of equals.
+    (0..found.len()).rev().max_by(|&a, &b| share(&found[a]).total_cmp(&share(&found[b])))
+}
+
+/// The place of the largest value, the first of equals.
+fn largest(values: &[f64]) -> usize {
+    (0..values.len()).rev().max_by(|&a, &b| values[a].total_cmp(&values[b])).unwrap_or(0)
+}
+
+/// Finds and traces the lines of a single view with the detector of a pair. What a detector decides for both views of a pair by the left one,
+/// such as how wide lines are, it decides for all views of a series by the same one, `beside` which they are looked at ([`typical_view`]);
 /// without it by the view alone.
 pub fn detect_lines(
     image: &Micrograph,
@@ -272,6 +288,20 @@ mod tests {
         assert_eq!(found(None), 255);
         assert_eq!(found(Some(&Array2::from_elem([8, 9], 0.2))), 51);
         assert_eq!(found(Some(&Array2::zeros([50, 9]))), 0);
+    }
+
+    /// Views of which some want this look and some that by a little: what they have together decides, and a view that wants that, or nearly does,
+    /// stands for all.
+    #[test]
+    fn what_all_views_have_together_decides() {
+        let of = |found: &[&[f64]]| typical(&found.iter().map(|each| each.to_vec()).collect::<Vec<_>>());
+        assert_eq!(of(&[&[1.0, 1.1, 0.2], &[3.0, 2.0, 0.1], &[1.0, 1.2, 0.3]]), Some(1));
+        assert_eq!(of(&[&[1.0, 1.1], &[1.0, 0.95], &[0.8, 1.0]]), Some(0));
+        assert_eq!(of(&[&[1.0, 0.8, 0.0], &[0.0, 0.9, 1.0]]), Some(1));
+        // A view without lines wants nothing; views may be too small for a look.
+        assert_eq!(of(&[&[0.0; 3], &[0.0; 2]]), Some(0));
+        assert_eq!(of(&[&[0.1], &[0.0, 5.0, 5.0]]), Some(0));
+        assert_eq!(of(&[]), None);
     }
 
     /// A dark line stands out by its sign and in the view's own noise, whatever the grey levels; nothing does so by more than is kept.

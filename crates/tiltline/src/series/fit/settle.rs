@@ -40,7 +40,7 @@ pub(super) fn settled(
 }
 
 /// The pair's curves, fitted to views that agree where they lie. What is known of their depths from a few degrees leads far beside their
-/// lines in far views: they come to those from the pair outwards, while views stay. Then the views move too, within what they agree to and
+/// lines in far views: they come to those from the pair outwards, while views stay (but for the axis, which they share). Then the views move too, within what they agree to and
 /// held by the curves that they all show, `shown`; wrong ones of the pair pull, the longer the more.
 fn fitted_to_placed(
     mut views: Vec<FitView>,
@@ -58,7 +58,7 @@ fn fitted_to_placed(
         let waiting: Vec<f64> = views[placed..].iter().map(off).collect();
         let (batch, limit) = next_batch(&waiting, reached);
         for view in &views[placed..placed + batch] {
-            problem.add_placed(view.clone());
+            problem.add_held(view.clone(), view.pose);
         }
         (placed, reached) = (placed + batch, limit);
         problem.run(ROUNDS, [WIDE_PX, settings.reach_px], settings);
