@@ -157,18 +157,22 @@ struct KnownDepth {
     share: f64,
 }
 
-/// How well the poses are known that a fit starts from: one sigma of places, px. Turns and magnifications are known as well at a quarter of the
-/// longer side from the middle, where the settings do not know them better.
+/// How well the poses are known that a fit starts from.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Hold(f64);
+struct Hold {
+    /// One sigma of the place of a view, px.
+    shift_px: f64,
+    /// Share of the sigmas of turn and magnification in the settings.
+    share: f64,
+}
 
 impl Hold {
     /// Hardly: places are wide open, but a view without observations stays soluble.
-    const LOOSE: Self = Self(50.0);
+    const LOOSE: Self = Self { shift_px: 50.0, share: 1.0 };
     /// As well as views agree on them by all that they show: most are good to half a px, of the far ones some are not.
-    const AGREED: Self = Self(1.0);
+    const AGREED: Self = Self { shift_px: 1.0, share: 0.5 };
     /// Curves are fitted to views as they are.
-    const FIRM: Self = Self(0.1);
+    const FIRM: Self = Self { shift_px: 0.1, share: 0.1 };
 }
 
 /// Curves and poses while they are fitted.
@@ -293,16 +297,15 @@ impl Problem {
             }
         };
         let tilt_sigma = settings.tilt_sigma_deg.max(1e-6).to_radians();
-        let longer_side = self.views.first().map_or(1, |view| view.lines.lines().shape.into_iter().max().unwrap_or(1));
-        let known = self.hold.0 / (0.25 * longer_side as f64);
-        let turn_sigma = settings.turn_sigma_deg.max(1e-6).to_radians().min(known);
-        let scale_sigma = settings.scale_sigma.max(1e-9).min(known);
+        let turn_sigma = self.hold.share * settings.turn_sigma_deg.max(1e-6).to_radians();
+        let scale_sigma = self.hold.share * settings.scale_sigma.max(1e-9);
         let off = |index: usize| {
             let (pose, start) = (&self.views[index].pose, &self.start[index]);
             let turned = pose.axis_rad() - start.axis_rad();
             (pose.origin() - start.origin(), turned.sin().atan2(turned.cos()), (pose.scale() / start.scale()).ln())
         };
         let rows = settings.pair_row_sigma_px.max(FIXED);
+        let longer_side = self.views.first().map_or(1, |view| view.lines.lines().shape.into_iter().max().unwrap_or(1));
         // Of the turn and the magnification of the pair's views against each other.
         let pair_sigma = rows / (0.25 * longer_side as f64);
         for (index, view) in self.views.iter().enumerate() {
@@ -310,7 +313,8 @@ impl Problem {
             let (moved, turned, grown) = off(index);
             // The views of the pair are the frame: the place of one, and of the other along the rows.
             let (sin, cos) = self.start[index].axis_rad().sin_cos();
-            let [along, across] = [[FIXED, FIXED], [FIXED, rows]].get(index).copied().unwrap_or([self.hold.0; 2]);
+            let [along, across] =
+                [[FIXED, FIXED], [FIXED, rows]].get(index).copied().unwrap_or([self.hold.shift_px; 2]);
             hold(&[(first, cos), (first + 1, sin)], cos * moved.x + sin * moved.y, along);
             hold(&[(first, -sin), (first + 1, cos)], cos * moved.y - sin * moved.x, across);
             hold(&[(first + 2, 1.0)], turned, turn_sigma);
