@@ -267,7 +267,7 @@ mod tests {
     use super::*;
     use crate::curve::LineMap;
 
-    /// Finds lines in the right view as wide as the left one is bright.
+    /// Sees the lines of a view as clearly as the left one is bright.
     struct Both;
 
     impl Detect for Both {

@@ -17,8 +17,6 @@ use crate::series::ViewLines;
 const LEAST_VIEWS: usize = 8;
 /// A voxel belongs to a line from so many times the root mean square of a tomogram of chance on.
 const ABOVE_CHANCE: f64 = 5.0;
-/// No more than this share of them is there by chance.
-const MOST_BY_CHANCE: f64 = 0.1;
 /// Shortest curve, px: what is by chance, or left over beside known curves, is short.
 const SHORTEST_PX: f64 = 20.0;
 /// Contrast must be noise by this share at least: where things stand out of it, the detector has seen them, and has taken them for lines or not.
@@ -43,7 +41,7 @@ pub(super) fn faint(views: &[FitView], known: &[&FittedCurve]) -> Vec<FittedCurv
     let Some(sure) = Contrast::of_sure_lines(&shown) else { return Vec::new() };
     let Some(tomogram) = Tomogram::new(&shown, depth, MOST_VOXELS, Grid::evidence) else { return Vec::new() };
     let least = ABOVE_CHANCE * tomogram.rms_of_chance();
-    let Some(threshold) = tomogram.beyond_chance(least, MOST_BY_CHANCE) else { return Vec::new() };
+    let Some(threshold) = tomogram.beyond_chance(least) else { return Vec::new() };
     let found = tomogram.curves(threshold);
     drop(tomogram);
     let mut curves = away_from(&found, known.iter().copied());
@@ -210,7 +208,12 @@ mod tests {
         let length: usize = curves.iter().map(|(curve, _)| curve.points.len()).sum();
         assert!(length > 60 && curves.iter().all(|(_, is_right)| *is_right), "{length} {curves:?}");
         assert!(found(&views(41, 2.0, |_| 2.0)).is_empty());
+        // Bright where those are dark: hardly in the tomogram, and it would not be taken for a line.
         assert!(found(&views(41, 0.0, |_| -1.5)).is_empty());
+        let points = line(FAINT.0, FAINT.1);
+        let curve = StartCurve { sigma_z: vec![1.5; points.len()], points, closed: false };
+        let is_line = |views: Vec<FitView>| Contrast(2.0).is_fainter_line(&curve, &views.iter().collect::<Vec<_>>());
+        assert!(is_line(views(8, 0.0, |_| 1.5)) && !is_line(views(8, 0.0, |_| -1.5)));
     }
 
     /// Without noise the detector has seen whatever is there.

@@ -40,8 +40,8 @@ pub(super) fn settled(
 }
 
 /// The pair's curves, fitted to views that agree where they lie. What is known of their depths from a few degrees leads far beside their
-/// lines in far views: they come to those from the pair outwards, while views stay (but for the axis, which they share). Then the views move too, within what they agree to and
-/// held by the curves that they all show, `shown`; wrong ones of the pair pull, the longer the more.
+/// lines in far views: they come to those from the pair outwards, while views stay (but for the axis, which they share). Then the views move
+/// too, within what they agree to and held by the curves that they all show, `shown`; wrong ones of the pair pull, the longer the more.
 fn fitted_to_placed(
     mut views: Vec<FitView>,
     curves: &[StartCurve],

@@ -14,6 +14,9 @@ const CHANCE_ROWS: usize = 128;
 /// One sigma of a curve's depth in the tomogram, voxels.
 const SIGMA_Z: f64 = 1.5;
 
+/// No more than this share of what is taken for lines is there by chance.
+const MOST_BY_CHANCE: f64 = 0.1;
+
 /// A tomogram of views by weighted back projection, and one of chance.
 pub(super) struct Tomogram {
     /// Its voxels in the frame of the poses.
@@ -45,9 +48,9 @@ impl Tomogram {
         (squares / self.chance.len() as f64).sqrt()
     }
 
-    /// The lowest value from `least` on beyond which no more than the share `most` of the voxels are there by chance.
-    pub fn beyond_chance(&self, least: f64, most: f64) -> Option<f64> {
-        beyond_chance(&self.values, &self.chance, least, most)
+    /// The lowest value from `least` on beyond which no more than a tenth of the voxels are there by chance.
+    pub fn beyond_chance(&self, least: f64) -> Option<f64> {
+        beyond_chance(&self.values, &self.chance, least, MOST_BY_CHANCE)
     }
 
     /// The curves of its voxels from a value on, in the frame of the poses.

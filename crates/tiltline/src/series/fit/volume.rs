@@ -22,8 +22,6 @@ const LINE_SIGMA_PX: f64 = 1.3;
 /// A voxel belongs to a line from so many times the root mean square of a tomogram of chance on, of the same views where their lines
 /// do not belong together.
 const ABOVE_CHANCE: f64 = 10.0;
-/// No more than this share of them is there by chance.
-const MOST_BY_CHANCE: f64 = 0.1;
 /// And with n views from this over n^3 on of the value of a line that all views are sure of (with three views nothing is sure enough):
 /// where the two near views of a pair meet a line is long in depth, and is crossed there more often than the views of the tomogram of
 /// chance, which have no pair among them, cross each other.
@@ -63,7 +61,7 @@ impl Volume {
         let Some(sure) = sure else { return none };
         let few = FEW / (views.len() as f64).powi(3);
         let least = (ABOVE_CHANCE * tomogram.rms_of_chance()).max(few.max(LEAST_SHARE) * sure);
-        let Some(threshold) = tomogram.beyond_chance(least, MOST_BY_CHANCE) else { return none };
+        let Some(threshold) = tomogram.beyond_chance(least) else { return none };
         Self { curves: tomogram.curves(threshold), is_decisive: threshold / sure <= DECISIVE_SHARE }
     }
 
